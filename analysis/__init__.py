@@ -1,0 +1,1 @@
+"""What a rollout shows: metrics, the paper's figures and claims, an animation."""

@@ -1,0 +1,1 @@
+"""Manifest -> compiled functions -> fixed-rate loop and simulation. numpy and cffi, no casadi."""

@@ -1,0 +1,124 @@
+"""C sources -> shared library, compiled once per user and found again by its content."""
+
+import os
+import shlex
+import shutil
+import subprocess
+import sys
+import tempfile
+from collections.abc import Sequence
+from dataclasses import dataclass
+from importlib.util import find_spec
+from pathlib import Path
+
+from clikgen.runtime.documents import BadInput, make_folder
+from clikgen.runtime.manifest import sha256
+
+# -std=c99 and -ffp-contract=off keep results equal to CasADi's own evaluation bit for bit; the -fno-* flags keep
+# calls and branches cheap and change no result.
+FLAGS = (
+    "-std=c99",
+    "-O2",
+    "-fPIC",
+    "-shared",
+    "-ffp-contract=off",
+    "-fno-semantic-interposition",
+    "-fno-math-errno",
+    "-fno-trapping-math",
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Compiler:
+    """A C compiler: the command that starts it and what identifies it in the cache."""
+
+    command: tuple[str, ...]
+    identity: str
+
+    @property
+    def version(self) -> str:
+        """The first line of `--version`, or what went wrong."""
+        outcome = subprocess.run([*self.command, "--version"], capture_output=True, text=True, check=False)
+        return (outcome.stdout or outcome.stderr or f"exit code {outcome.returncode}").splitlines()[0]
+
+
+def available_compilers() -> list[Compiler]:
+    """The compilers of this machine, the preferred one first: $CC, cc, gcc, clang, then ziglang from PyPI.
+
+    Raises BadInput when $CC names a program that is not there.
+    """
+    found = []
+    wanted = os.environ.get("CC", "")
+    if wanted:
+        command = shlex.split(wanted)
+        if shutil.which(command[0]) is None:
+            raise BadInput(f"$CC: wanted a C compiler, got {wanted!r}, which is not on the PATH")
+        found.append(command)
+    found += [[name] for name in ("cc", "gcc", "clang") if shutil.which(name)]
+    compilers = [Compiler(tuple(command), _identity(command)) for command in found]
+    if find_spec("ziglang"):
+        zig = (sys.executable, "-m", "ziglang", "cc")
+        compilers.append(Compiler(zig, f"{zig} {find_spec('ziglang')}"))
+    return compilers
+
+
+def find_compiler() -> Compiler:
+    """The preferred compiler; raises BadInput that says what to install when there is none."""
+    compilers = available_compilers()
+    if not compilers:
+        raise BadInput(
+            "no C compiler: wanted $CC, cc, gcc or clang on the PATH, or the PyPI package 'clikgen[zig]', "
+            "found none"
+        )
+    return compilers[0]
+
+
+def _identity(command: Sequence[str]) -> str:
+    """The command with the file behind it: another compiler under the same name compiles anew."""
+    program = Path(shutil.which(command[0]) or command[0]).resolve()
+    status = program.stat()
+    return f"{shlex.join(command)} {program} {status.st_size} {status.st_mtime_ns}"
+
+
+def cache_folder() -> Path:
+    """Where compiled libraries are kept: $CLIKGEN_CACHE, else the user's cache folder."""
+    if own := os.environ.get("CLIKGEN_CACHE"):
+        return Path(own)
+    base = os.environ.get("XDG_CACHE_HOME") or str(Path.home() / ".cache")
+    return Path(base) / "clikgen"
+
+
+def library_path(sources: Sequence[Path], compiler: Compiler) -> Path:
+    """The cached library's place, keyed by the files' content, the flags and the compiler."""
+    files = [path for source in sources for path in (source, source.with_suffix(".h")) if path.exists()]
+    key = [*(path.read_bytes() for path in files), " ".join(FLAGS).encode(), compiler.identity.encode()]
+    return cache_folder() / f"{sources[0].stem}-{sha256(b''.join(sha256(part).encode() for part in key))[:24]}.so"
+
+
+def compile_library(sources: Sequence[Path], compiler: Compiler | None = None) -> Path:
+    """The shared library of the C files, compiled if the cache lacks it.
+
+    Two processes may do this at once: each compiles into a file of its own and renames it into place. Raises
+    BadInput when there is no compiler, the compiler fails, or the cache cannot be written.
+    """
+    compiler = compiler or find_compiler()
+    library = library_path(sources, compiler)
+    if library.exists():
+        return library
+    make_folder(library.parent)
+    try:
+        handle, name = tempfile.mkstemp(dir=library.parent, suffix=".so.tmp")
+    except OSError as error:
+        raise BadInput(f"{library.parent}: cannot write the compiled library: {error.strerror}") from None
+    os.close(handle)
+    temporary = Path(name)
+    try:
+        command = [*compiler.command, *FLAGS, "-o", str(temporary), *map(str, sources), "-lm"]
+        outcome = subprocess.run(command, capture_output=True, text=True, check=False)
+        if outcome.returncode != 0:
+            complaint = next((line for line in outcome.stderr.splitlines() if "error" in line), outcome.stderr)
+            raise BadInput(f"{shlex.join(compiler.command)} failed on {sources[0]}: {complaint.strip()}")
+        temporary.replace(library)
+    finally:
+        temporary.unlink(missing_ok=True)
+    return library

@@ -1,0 +1,208 @@
+"""A generated controller, compiled and callable: shapes checked, buffers made once."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from importlib import resources
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any, Self
+
+import cffi
+import numpy as np
+from clikgen.runtime.compiler import Compiler, compile_library
+from clikgen.runtime.documents import BadInput, choices
+from clikgen.runtime.manifest import FunctionInfo, Manifest, SignalInfo, load_manifest
+from numpy.typing import ArrayLike, NDArray
+
+Array = NDArray[np.float64]
+
+_ffi = cffi.FFI()
+_STEP = "int {}(const double **, double **, long long *, double *, int);"  # CasADi's calling convention
+_ROLLOUT = (
+    "int clikgen_rollout(int (*)(const double **, double **, long long *, double *, int), long long, "
+    "int, const double **, const long long *, int, double **, const long long *);"
+)
+
+
+class CompiledFunction:
+    """One generated function with its own buffers.
+
+    `inputs` and `outputs` are arrays in the shapes of the manifest that stay the same from call to call: write
+    into the one, read from the other, copy what has to outlive the next call.
+    """
+
+    def __init__(self, info: FunctionInfo, call: Any) -> None:
+        self.info = info
+        self._call = call
+        self.inputs = MappingProxyType({signal.name: _buffer(signal) for signal in info.inputs})
+        self.outputs = MappingProxyType({signal.name: _buffer(signal) for signal in info.outputs})
+        self._arg = _ffi.new("const double *[]", _pointers(self.inputs, info.sz_arg))
+        self._res = _ffi.new("double *[]", _pointers(self.outputs, info.sz_res))
+
+    def __call__(self, **values: ArrayLike) -> Mapping[str, Array]:
+        """Evaluate once, after copying `values` into the inputs they name; an input not named keeps its value.
+
+        Raises ValueError for an unknown name or a shape other than the manifest's: a scalar would otherwise
+        fill a whole vector in silence.
+        """
+        for name, value in values.items():
+            buffer = self.inputs.get(name)
+            if buffer is None:
+                raise ValueError(f"{self.info.symbol}: no input '{name}'; {choices(name, self.inputs)}")
+            array = np.asarray(value)
+            if array.shape != buffer.shape:
+                raise ValueError(
+                    f"{name} must have shape {buffer.shape} for {self.info.symbol}, got {array.shape}"
+                )
+            buffer[...] = array
+        self._call(self._arg, self._res, _ffi.NULL, _ffi.NULL, 0)
+        return self.outputs
+
+
+def _buffer(signal: SignalInfo) -> Array:
+    return np.array(signal.default or [0.0] * signal.size).reshape(signal.shape)
+
+
+def _pointers(buffers: Mapping[str, Array], length: int) -> list[Any]:
+    pointers = [_ffi.cast("double *", buffer.ctypes.data) for buffer in buffers.values()]
+    return pointers + [_ffi.NULL] * (length - len(pointers))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CompiledController:
+    """The functions of a generated controller: `kinematics`, `jacobians` and `step`."""
+
+    manifest: Manifest
+    kinematics: CompiledFunction
+    jacobians: CompiledFunction
+    step: CompiledFunction
+    _library: Any
+
+    @classmethod
+    def load(cls, name_or_folder: str | Path, compiler: Compiler | None = None) -> Self:
+        """The controller that ships under a name, or the one in a folder, compiled if the cache lacks it.
+
+        Raises BadInput when it is not there, its files do not belong together, or it cannot be compiled.
+        """
+        folder = find_controller(name_or_folder)
+        manifest = load_manifest(folder)
+        sources = [folder / f"{manifest.controller}.c", Path(str(resources.files(__package__))) / "rollout.c"]
+        ffi = cffi.FFI()
+        ffi.cdef(_ROLLOUT + "".join(_STEP.format(info.symbol) for info in manifest.functions))
+        library = ffi.dlopen(str(compile_library(sources, compiler)))
+        functions = {
+            info.name: CompiledFunction(info, getattr(library, info.symbol)) for info in manifest.functions
+        }
+        return cls(manifest, functions["kinematics"], functions["jacobians"], functions["step"], library)
+
+    def rollout(self, steps: int, values: Mapping[str, ArrayLike]) -> dict[str, Array]:
+        """`steps` periods inside compiled C.
+
+        Each value is a constant in its input's shape or an array over time, (steps, *shape); a state is where
+        the rollout starts, and inputs not named have their defaults. Returns every output over time, shape
+        (steps, *shape), and every state by the name of its input, shape (steps + 1, *shape).
+        """
+        inputs, outputs = self._rollout_arrays(steps, values)
+        arg = _ffi.new("const double *[]", _pointers(inputs, self.step.info.sz_arg))
+        res = _ffi.new("double *[]", _pointers(outputs, self.step.info.sz_res))
+        arg_stride = [_stride(signal, inputs[signal.name]) for signal in self.step.info.inputs]
+        failed = self._library.clikgen_rollout(
+            self.step._call,
+            steps,
+            len(inputs),
+            arg,
+            arg_stride,
+            len(outputs),
+            res,
+            [signal.size for signal in self.step.info.outputs],
+        )
+        if failed:
+            raise RuntimeError(f"{self.step.info.symbol} returned {failed}")
+        return self._named(inputs, outputs)
+
+    def rollout_stepwise(self, steps: int, values: Mapping[str, ArrayLike]) -> dict[str, Array]:
+        """The same as `rollout`, one call from Python per period: equal bit for bit."""
+        signals, step = self.stepper(steps, values)
+        for k in range(steps):
+            step(k)
+        return signals
+
+    def stepper(
+        self, steps: int, values: Mapping[str, ArrayLike]
+    ) -> tuple[dict[str, Array], Callable[[int], None]]:
+        """The arrays `rollout` would return, still empty, and the function that fills in period k.
+
+        Call it for k = 0 .. steps−1 in this order: each period goes on from the state before.
+        """
+        inputs, outputs = self._rollout_arrays(steps, values)
+        varying = {}
+        for signal in self.step.info.inputs:
+            array = inputs[signal.name]
+            if _stride(signal, array):
+                varying[signal.name] = array
+            else:
+                self.step.inputs[signal.name][...] = array
+
+        def step(k: int) -> None:
+            results = self.step(**{name: array[k] for name, array in varying.items()})
+            for name, array in outputs.items():
+                array[k] = results[name]
+
+        return self._named(inputs, outputs), step
+
+    def _rollout_arrays(
+        self, steps: int, values: Mapping[str, ArrayLike]
+    ) -> tuple[dict[str, Array], dict[str, Array]]:
+        """Arrays for every input and output; a state is one array, its output a view one period further."""
+        info = self.step.info
+        for name in values:
+            info.input(name)
+        fed = {signal.feeds: signal.name for signal in info.outputs if signal.feeds}
+        inputs, outputs = {}, {}
+        for signal in info.inputs:
+            given = np.array(values.get(signal.name, _buffer(signal)), dtype=np.float64, order="C")
+            if given.shape != signal.shape and (signal.name in fed or given.shape != (steps, *signal.shape)):
+                wanted = f"{signal.shape}" if signal.name in fed else f"{signal.shape} or {(steps, *signal.shape)}"
+                raise ValueError(f"{signal.name} must have shape {wanted}, got {given.shape}")
+            if signal.name in fed:
+                history = np.empty((steps + 1, *signal.shape))
+                history[0] = given
+                inputs[signal.name], outputs[fed[signal.name]] = history, history[1:]
+            else:
+                inputs[signal.name] = given
+        ordered = {
+            signal.name: outputs.get(signal.name, np.empty((steps, *signal.shape))) for signal in info.outputs
+        }
+        return inputs, ordered
+
+    def _named(self, inputs: dict[str, Array], outputs: dict[str, Array]) -> dict[str, Array]:
+        states = {signal.name: signal.feeds for signal in self.step.info.outputs if signal.feeds}
+        named = {name: array for name, array in outputs.items() if name not in states}
+        return {**{state: inputs[state] for state in states.values()}, **named}
+
+
+def _stride(signal: SignalInfo, array: Array) -> int:
+    return 0 if array.shape == signal.shape else signal.size
+
+
+def find_controller(name_or_folder: str | Path) -> Path:
+    """The folder of a generated controller: a folder as given, else ./generated/NAME, else the shipped NAME.
+
+    Raises BadInput with the names that are there.
+    """
+    given = Path(name_or_folder)
+    candidates = (
+        [given]
+        if given.is_absolute() or len(given.parts) > 1
+        else [folder / given for folder in controller_folders()]
+    )
+    for folder in candidates:
+        if (folder / "manifest.json").is_file():
+            return folder
+    names = {path.parent.name for folder in controller_folders() for path in folder.glob("*/manifest.json")}
+    raise BadInput(f"no generated controller '{name_or_folder}'; {choices(str(name_or_folder), names)}")
+
+
+def controller_folders() -> list[Path]:
+    """Where generated controllers are looked for, in order."""
+    return [Path("generated"), Path(str(resources.files("clikgen.generated")))]

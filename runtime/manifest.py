@@ -1,0 +1,177 @@
+"""The contract between generated C and whatever calls it: names, shapes, units, defaults and limits.
+
+`symbolic` writes `manifest.json` next to the C, `runtime` and `analysis` read it, and nothing else passes
+between them. Arrays are row-major, as C and numpy lay them out.
+"""
+
+import hashlib
+import json
+import math
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from clikgen.runtime.documents import BadInput, Document, Number, choices, read_text
+from numpy.typing import ArrayLike, NDArray
+
+FAR = 1e6  # [m] the distance reported where there is no obstacle
+
+Role = Literal["state", "signal", "parameter", "command", "diagnostic"]
+"""What the loop does with a signal.
+
+state: goes in, and comes out as the output whose `feeds` names it; signal: changes from step to step
+(references, obstacles); parameter: tuned, constant over a run; command: sent to the robot; diagnostic: watched.
+"""
+
+
+class SignalInfo(Document):
+    """One argument of a generated function: C name, shape (empty for a scalar), unit and meaning."""
+
+    name: str
+    shape: tuple[int, ...]
+    unit: str
+    description: str
+    role: Role
+    default: tuple[Number, ...] = ()
+    minimum: Number | None = None
+    maximum: Number | None = None
+    positive_definite: bool = False
+    feeds: str | None = None
+
+    @property
+    def size(self) -> int:
+        """How many numbers the signal holds."""
+        return math.prod(self.shape)
+
+    def value(self, given: ArrayLike, source: str) -> NDArray[np.float64]:
+        """`given` as an array of this signal's shape.
+
+        A scalar fills a vector; a scalar k or a list of n stands for k·I or the diagonal of a square matrix
+        that has to be symmetric positive definite. Raises BadInput for a wrong shape, a number that is not
+        finite or outside the limits, or a matrix that is not symmetric positive definite.
+        """
+        try:
+            array = np.asarray(given, dtype=np.float64)
+        except (TypeError, ValueError):
+            raise BadInput(f"{source}: wanted numbers of shape {self.shape}, got {given!r}") from None
+        array = self._expanded(array)
+        if array.shape != self.shape:
+            raise BadInput(f"{source}: wanted shape {self.shape}, got {array.shape}")
+        if not np.all(np.isfinite(array)):
+            raise BadInput(f"{source}: wanted finite numbers, got {given!r}")
+        low = -np.inf if self.minimum is None else self.minimum
+        high = np.inf if self.maximum is None else self.maximum
+        if np.any(array < low) or np.any(array > high):
+            raise BadInput(f"{source}: wanted {low:g} to {high:g} {self.unit}, got {given!r}")
+        if self.positive_definite and not is_positive_definite(array):
+            raise BadInput(f"{source}: wanted a symmetric positive definite matrix, got {given!r}")
+        return array
+
+    def _expanded(self, array: NDArray[np.float64]) -> NDArray[np.float64]:
+        if self.positive_definite and array.shape in ((), self.shape[:1]):
+            return np.diag(np.broadcast_to(array, self.shape[:1]))
+        return np.broadcast_to(array, self.shape).copy() if array.ndim == 0 else array
+
+
+def is_positive_definite(matrix: NDArray[np.float64]) -> bool:
+    """Whether a square matrix is symmetric, with every eigenvalue above zero."""
+    return bool(np.allclose(matrix, matrix.T, rtol=1e-12, atol=0) and np.linalg.eigvalsh(matrix).min() > 0)
+
+
+class FunctionInfo(Document):
+    """One generated function in CasADi's C calling convention, with what a call needs."""
+
+    name: str
+    symbol: str
+    description: str
+    inputs: tuple[SignalInfo, ...]
+    outputs: tuple[SignalInfo, ...]
+    instructions: int
+    sz_arg: int
+    sz_res: int
+
+    def input(self, name: str) -> SignalInfo:
+        """The input called `name`; raises BadInput with the valid names."""
+        for signal in self.inputs:
+            if signal.name == name:
+                return signal
+        raise BadInput(
+            f"{self.symbol}: no input '{name}'; {choices(name, (signal.name for signal in self.inputs))}"
+        )
+
+
+class JointInfo(Document):
+    """A joint: its coordinate q_i in `unit`, its limits [unit] and velocity limit [unit/s]."""
+
+    name: str
+    type: Literal["prismatic", "revolute"]
+    unit: Literal["m", "rad"]
+    link: str
+    lower: Number
+    upper: Number
+    velocity: Number
+    outline: tuple[tuple[Number, Number, Number], ...]
+
+
+class PointInfo(Document):
+    """A point of interest: the link that carries it and its offset [m] in the link's frame."""
+
+    name: str
+    link: str
+    offset: tuple[Number, Number, Number]
+
+
+class TaskInfo(Document):
+    """A task, in priority order: its kind and, for a tracking task, the frame and its dimension."""
+
+    name: str
+    kind: str
+    equality: bool
+    dimension: int
+
+
+class Manifest(Document):
+    """Everything a caller knows of a generated controller."""
+
+    generator: Literal["clikgen"]
+    controller: str
+    description: str
+    casadi: str
+    spec_sha256: str
+    source_sha256: dict[str, str]
+    dimension: Literal[2, 3]
+    joints: tuple[JointInfo, ...]
+    points: tuple[PointInfo, ...]
+    obstacles: int
+    tasks: tuple[TaskInfo, ...]
+    law: str
+    filter: str
+    functions: tuple[FunctionInfo, ...]
+
+    def function(self, name: str) -> FunctionInfo:
+        """The generated function called `name` (kinematics, jacobians, step)."""
+        return {function.name: function for function in self.functions}[name]
+
+
+def sha256(content: bytes) -> str:
+    """Hexadecimal SHA-256 of `content`."""
+    return hashlib.sha256(content).hexdigest()
+
+
+def load_manifest(folder: Path) -> Manifest:
+    """The manifest in a generated controller's folder, once its files are seen to be the ones it describes.
+
+    Raises BadInput when the manifest or a file it names is missing, damaged or of another generation.
+    """
+    path = folder / "manifest.json"
+    try:
+        data = json.loads(read_text(path))
+    except json.JSONDecodeError as error:
+        raise BadInput(f"{path}: not valid JSON: {error}; run 'clikgen generate'") from None
+    if not isinstance(data, dict):
+        raise BadInput(f"{path}: wanted a JSON object, got {type(data).__name__}; run 'clikgen generate'")
+    manifest = Manifest.parse(data, str(path))
+    for name, wanted in manifest.source_sha256.items():
+        if sha256(read_text(folder / name).encode()) != wanted:
+            raise BadInput(f"{folder / name}: not the file its manifest describes; run 'clikgen generate'")
+    return manifest

@@ -1,0 +1,142 @@
+"""A scenario run on a compiled controller: the whole rollout in C, step by step, or in real time."""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from clikgen.runtime.controller import CompiledController
+from clikgen.runtime.documents import BadInput
+from clikgen.runtime.manifest import Manifest
+from clikgen.runtime.realtime import Clock, Timing, run_at_fixed_rate
+from clikgen.runtime.scenario import Case, Scenario, check_against
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+LONGEST = 10_000_000  # steps; longer is taken for a slip of the pen
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Rollout:
+    """What happened, over N steps of period T [s].
+
+    `signals` holds every output of the step over time, (N, ...), and the state q, (N + 1, n); the reference of
+    the first tracking task is (N, m) [m] and [m/s], obstacle centres (N, obstacles, m) and radii [m].
+    """
+
+    scenario: Scenario
+    case: Case
+    manifest: Manifest
+    period: float
+    t: Array  # (N,) [s]
+    signals: Mapping[str, Array]
+    tracked: str
+    reference: Array
+    reference_velocity: Array
+    obstacle_center: Array
+    obstacle_radius: Array
+
+    @property
+    def q(self) -> Array:
+        """Joint positions, (N + 1, n)."""
+        return self.signals["q"]
+
+    @property
+    def dq(self) -> Array:
+        """Joint velocities as they were run, (N, n)."""
+        return self.signals["dq"]
+
+    @property
+    def position(self) -> Array:
+        """Where the tracked frame was, (N, m) [m]."""
+        return self.signals[f"{self.tracked}_position"]
+
+    @property
+    def error(self) -> Array:
+        """Reference minus position, (N, m) [m]."""
+        return self.signals[f"{self.tracked}_error"]
+
+    @property
+    def active(self) -> NDArray[np.bool_]:
+        """Whether some influence region met an obstacle, (N,)."""
+        return self.signals["active"] > 0 if "active" in self.signals else np.zeros(len(self.t), dtype=bool)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Run:
+    """A scenario and a case, sampled and ready: what the step is fed over `steps` periods."""
+
+    controller: CompiledController
+    scenario: Scenario
+    case: Case
+    steps: int
+    period: float
+    values: Mapping[str, Array]
+
+    def in_c(self) -> Rollout:
+        """The whole rollout inside compiled C."""
+        return self._rollout(self.controller.rollout(self.steps, self.values))
+
+    def stepwise(self) -> Rollout:
+        """The same, one call from Python per step; equal bit for bit."""
+        return self._rollout(self.controller.rollout_stepwise(self.steps, self.values))
+
+    def in_real_time(self, clock: Clock) -> tuple[Rollout, Timing]:
+        """The same, one step per period of the clock, with how punctual it was."""
+        signals, step = self.controller.stepper(self.steps, self.values)
+        timing = run_at_fixed_rate(step, self.period, self.steps, clock)
+        return self._rollout(signals), timing
+
+    def _rollout(self, signals: Mapping[str, Array]) -> Rollout:
+        tracked = next(iter(self.scenario.references))
+        centers = self.values.get("obstacle_center")
+        present = len(self.scenario.obstacles)
+        nothing = np.zeros((self.steps, 0, self.controller.manifest.dimension))
+        return Rollout(
+            scenario=self.scenario,
+            case=self.case,
+            manifest=self.controller.manifest,
+            period=self.period,
+            t=self.period * np.arange(self.steps, dtype=np.float64),
+            signals=signals,
+            tracked=tracked,
+            reference=self.values[f"{tracked}_reference"],
+            reference_velocity=self.values[f"{tracked}_reference_velocity"],
+            obstacle_center=nothing if centers is None else centers[:, :present],
+            obstacle_radius=np.array([obstacle.radius for obstacle in self.scenario.obstacles]),
+        )
+
+
+def prepare(controller: CompiledController, scenario: Scenario, case: Case, source: str = "scenario") -> Run:
+    """Sample references and obstacles at t_k = k·T and check everything; raises BadInput."""
+    manifest = controller.manifest
+    check_against(scenario, manifest, source)
+    step = manifest.function("step")
+    values: dict[str, Array] = {"q": step.input("q").value(scenario.q0, f"{source}: q0")}
+    for signal in step.inputs:
+        if signal.role == "parameter":
+            given = scenario.parameters.get(signal.name)
+            values[signal.name] = (
+                np.reshape(signal.default, signal.shape)
+                if given is None
+                else signal.value(given, f"{source}: parameters.{signal.name}")
+            )
+    values["lam_free"], values["lam_event"] = np.array(case.lam_free), np.array(case.lam_event)
+    period = float(values["period"])
+    steps = math.floor(scenario.duration / period + 1e-9)
+    if not 1 <= steps <= LONGEST:
+        raise BadInput(f"{source}: duration: wanted 1 to {LONGEST} periods of {period:g} s, got {steps}")
+    t = period * np.arange(steps, dtype=np.float64)
+    for name, reference in scenario.references.items():
+        values[f"{name}_reference"], values[f"{name}_reference_velocity"] = reference.sample(t)
+    if scenario.obstacles:
+        center = np.zeros((steps, manifest.obstacles, manifest.dimension))
+        radius = np.zeros(manifest.obstacles)
+        for i, obstacle in enumerate(scenario.obstacles):
+            center[:, i], radius[i] = obstacle.motion.sample(t)[0], obstacle.radius
+        values |= {
+            "obstacle_center": center,
+            "obstacle_radius": radius,
+            "obstacle_count": np.array(float(len(scenario.obstacles))),
+        }
+    return Run(controller, scenario, case, steps, period, values)

@@ -1,0 +1,163 @@
+"""A controller spec as CasADi functions: kinematics, Jacobians and the step of the fixed-rate loop."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from importlib import import_module
+
+import casadi as ca
+from clikgen.symbolic import laws
+from clikgen.symbolic.chain import SerialChain
+from clikgen.symbolic.obstacles import Obstacles, Sensing
+from clikgen.symbolic.signals import Signal, result, symbol
+from clikgen.symbolic.spec import ControllerSpec
+from clikgen.symbolic.task import Task
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ControllerFunction:
+    """A function to generate: every argument is a dense column, row by row of the signal's shape."""
+
+    name: str
+    description: str
+    inputs: tuple[Signal, ...]
+    outputs: tuple[Signal, ...]
+    casadi: ca.Function
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Controller:
+    """A spec and the functions it stands for: kinematics, jacobians, step."""
+
+    spec: ControllerSpec
+    functions: tuple[ControllerFunction, ...]
+
+    def function(self, name: str) -> ca.Function:
+        """The CasADi function called `name`."""
+        return {function.name: function.casadi for function in self.functions}[name]
+
+
+def build(spec: ControllerSpec) -> Controller:
+    """All functions of a controller; raises BadInput when a task asks for what the robot does not have."""
+    joints = spec.robot.joints
+    q = symbol(
+        "q",
+        (len(joints),),
+        ", ".join(joint.unit for joint in joints),
+        "joint position: " + ", ".join(joint.name for joint in joints),
+        "state",
+        (-1e6, 1e6),
+    )
+    chain = SerialChain.at(spec.robot, q.expression)
+    points = spec.robot.points_of_interest
+    sensing = (
+        Sensing.of(chain, Obstacles.up_to(spec.obstacles.maximum, spec.robot.dimension))
+        if points and spec.obstacles.maximum
+        else None
+    )
+    tasks = [task.build(chain, sensing) for task in spec.tasks]
+    inputs, outputs = _step(spec, q, sensing, tasks)
+    return Controller(
+        spec,
+        (
+            _function(spec, "kinematics", "where everything is at q", inputs, _positions(chain, tasks)),
+            _function(spec, "jacobians", "how everything moves with q̇ at q", inputs, _jacobians(chain, tasks)),
+            _function(spec, "step", "one period of the loop (eqs. 4-19)", inputs, outputs),
+        ),
+    )
+
+
+def _step(
+    spec: ControllerSpec, q: Signal, sensing: Sensing | None, tasks: Sequence[Task]
+) -> tuple[list[Signal], list[Signal]]:
+    """Law (eq. 11), Euler step (eq. 13), filter (eq. 16), planner (eq. 17): all inputs, all outputs."""
+    period = symbol("period", (), "s", "sampling time T", "parameter", (1e-6, 10.0), spec.period)
+    dq_law = import_module(f"{laws.__name__}.{spec.law}").combine(tasks)
+    q_raw = q.expression + period.expression * dq_law  # eq. 13
+    q_filtered, filter_inputs = spec.filter.build(q_raw, q.expression, period.expression)
+    event = sensing.event if sensing else ca.SX(0)
+    q_next, lam, planner_inputs = spec.planner.build(q_filtered, q_raw, event)
+    dq = (q_next - q.expression) / period.expression
+
+    rate = ", ".join(f"{joint.unit}/s" for joint in spec.robot.joints)
+    outputs = [
+        result("q_next", q_next, q.info.unit, "joint position one period on (eq. 19)", "state", feeds="q"),
+        result("dq", dq, rate, "joint velocity that leads there, (q_next − q)/T", "command"),
+        result("dq_law", dq_law, rate, "joint velocity of the law alone (eq. 11)", "diagnostic"),
+        *(signal for task in tasks for signal in task.diagnostics),
+        result("lam", lam, "1", "λ, the share of the filter (eq. 17)", "diagnostic"),
+    ]
+    inputs = [q, *(signal for task in tasks for signal in task.inputs)]
+    if sensing:
+        inputs += sensing.inputs
+        outputs += [
+            result("active", event, "1", "1 while d <= s for some point of interest, else 0", "diagnostic"),
+            result("distance", sensing.distance, "m", "d, each point to its closest obstacle", "diagnostic"),
+            result("clearance", sensing.clearance, "m", "least d − s; negative is intrusion", "diagnostic"),
+        ]
+    return [*inputs, *filter_inputs, *planner_inputs, period], outputs
+
+
+def _positions(chain: SerialChain, tasks: Sequence[Task]) -> list[Signal]:
+    """Task frames, points of interest, and the pose of every link as the rows [R | p] of world_T_link."""
+    outputs = [signal for task in tasks for signal in task.positions]
+    points = chain.robot.points_of_interest
+    if points:
+        rows = [chain.position(point.link, point.offset).T for point in points]
+        outputs.append(
+            result(
+                "point_position",
+                ca.vertcat(*rows),
+                "m",
+                "r of every point of interest",
+                "diagnostic",
+                shape=(len(points), chain.robot.dimension),
+            )
+        )
+    poses = [chain.poses[joint.link] for joint in chain.robot.joints]
+    stacked = ca.vertcat(*(ca.horzcat(pose.rotation, pose.position) for pose in poses))
+    outputs.append(
+        result(
+            "link_pose",
+            stacked,
+            "1, m",
+            "rows [R | p] of world_T_link, per link",
+            "diagnostic",
+            shape=(len(poses), 3, 4),
+        )
+    )
+    return outputs
+
+
+def _jacobians(chain: SerialChain, tasks: Sequence[Task]) -> list[Signal]:
+    """∂(task)/∂q for every task, ∂r/∂q for every point of interest."""
+    outputs = [signal for task in tasks for signal in task.jacobians]
+    points = chain.robot.points_of_interest
+    if points:
+        stacked = ca.vertcat(*(chain.position_jacobian(point.link, point.offset) for point in points))
+        outputs.append(
+            result(
+                "point_jacobian",
+                stacked,
+                "m per joint unit",
+                "J_r = ∂r/∂q of every point of interest",
+                "diagnostic",
+                shape=(len(points), chain.robot.dimension, chain.q.numel()),
+            )
+        )
+    return outputs
+
+
+def _function(
+    spec: ControllerSpec, name: str, description: str, inputs: Sequence[Signal], outputs: Sequence[Signal]
+) -> ControllerFunction:
+    """The function of those inputs on which the outputs depend, common subexpressions shared."""
+    columns = [signal.column for signal in outputs]
+    used = tuple(signal for signal in inputs if ca.depends_on(ca.vertcat(*columns), signal.column))
+    function = ca.Function(
+        f"{spec.name}_{name}",
+        [signal.column for signal in used],
+        ca.cse(columns),
+        [signal.info.name for signal in used],
+        [signal.info.name for signal in outputs],
+    )
+    return ControllerFunction(name, description, used, tuple(outputs), function)

@@ -1,0 +1,34 @@
+"""The first-order low-pass filter on the joint positions (eqs. 14-16)."""
+
+import math
+from typing import Literal
+
+import casadi as ca
+from clikgen.runtime.documents import Document, Positive
+from clikgen.symbolic.signals import Signal, symbol
+
+
+class Spec(Document):
+    """q_i = A_β q_i + (I − A_β) q_{i−1}, eq. 16, with β = 2πTf_c / (1 + 2πTf_c) per joint, eq. 15.
+
+    `cutoff` is f_c [Hz]: one number for all joints or a list, one per joint. q_{i−1} is the joint position the
+    step started from, so the filtered position is the state: the filter needs no memory of its own.
+    """
+
+    kind: Literal["first_order"]
+    cutoff: Positive | tuple[Positive, ...]
+
+    def build(self, q_raw: ca.SX, q_previous: ca.SX, period: ca.SX) -> tuple[ca.SX, tuple[Signal, ...]]:
+        """The filtered joint position (n, 1) and the inputs it needs."""
+        cutoff = symbol(
+            "filter_cutoff",
+            (q_raw.numel(),),
+            "Hz",
+            "f_c of each joint (eq. 15)",
+            "parameter",
+            (1e-6, 1e6),
+            self.cutoff,
+        )
+        x = 2 * math.pi * period * cutoff.expression
+        beta = x / (1 + x)  # (n, 1), the diagonal of A_β
+        return beta * q_raw + (1 - beta) * q_previous, (cutoff,)

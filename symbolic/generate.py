@@ -1,0 +1,178 @@
+"""Spec -> the files of a generated controller, as a pure function; and keeping a folder equal to it."""
+
+import difflib
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from importlib import metadata, resources
+from pathlib import Path
+
+from clikgen.runtime.documents import TEMPORARY_SUFFIX, BadInput, commit_all, json_text
+from clikgen.runtime.manifest import FunctionInfo, JointInfo, Manifest, PointInfo, TaskInfo, sha256
+from clikgen.symbolic import c_code
+from clikgen.symbolic.controller import Controller, ControllerFunction, build
+from clikgen.symbolic.spec import ControllerSpec, read_spec
+
+
+def generate(spec: ControllerSpec) -> dict[str, str]:
+    """File name -> text for a controller: `<name>.c`, `<name>.h`, `manifest.json`, the manifest last.
+
+    The same spec gives the same text on every machine. Raises BadInput when the spec asks for what its robot
+    does not have.
+    """
+    controller = build(spec)
+    functions = [_function_info(function) for function in controller.functions]
+    sources = {
+        f"{spec.name}.c": c_code.source(controller, functions),
+        f"{spec.name}.h": c_code.header(controller, functions),
+    }
+    manifest = _manifest(controller, functions, sources)
+    return {**sources, "manifest.json": json_text(manifest.model_dump(mode="json", exclude_none=True))}
+
+
+def generate_file(path: Path) -> tuple[str, dict[str, str]]:
+    """The controller's name and files from the spec in `path`; raises BadInput that names the file."""
+    spec = read_spec(path)
+    try:
+        return spec.name, generate(spec)
+    except BadInput as error:
+        raise BadInput(f"{path}: {error}") from None
+
+
+def _function_info(function: ControllerFunction) -> FunctionInfo:
+    compiled = function.casadi
+    return FunctionInfo(
+        name=function.name,
+        symbol=compiled.name(),
+        description=function.description,
+        inputs=tuple(signal.info for signal in function.inputs),
+        outputs=tuple(signal.info for signal in function.outputs),
+        instructions=compiled.n_instructions(),
+        sz_arg=compiled.sz_arg(),
+        sz_res=compiled.sz_res(),
+    )
+
+
+def _manifest(controller: Controller, functions: Iterable[FunctionInfo], sources: Mapping[str, str]) -> Manifest:
+    spec = controller.spec
+    return Manifest(
+        generator="clikgen",
+        controller=spec.name,
+        description=spec.description,
+        casadi=metadata.version("casadi"),
+        spec_sha256=spec.sha256(),
+        source_sha256={name: sha256(text.encode()) for name, text in sources.items()},
+        dimension=spec.robot.dimension,
+        joints=tuple(
+            JointInfo(
+                name=joint.name,
+                type=joint.type,
+                unit=joint.unit,
+                link=joint.link,
+                lower=joint.lower,
+                upper=joint.upper,
+                velocity=joint.velocity,
+                outline=joint.outline,
+            )
+            for joint in spec.robot.joints
+        ),
+        points=tuple(
+            PointInfo(name=point.name, link=point.link, offset=point.offset)
+            for point in spec.robot.points_of_interest
+        ),
+        obstacles=spec.obstacles.maximum,
+        tasks=tuple(
+            TaskInfo(
+                name=task.name,
+                kind=task.kind,
+                equality=task.equality,
+                dimension=task.dimension(spec.robot),
+            )
+            for task in spec.tasks
+        ),
+        law=spec.law,
+        filter=spec.filter.kind,
+        functions=tuple(functions),
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class Difference:
+    """What would change in a folder: files to write (path -> text) and orphans to remove."""
+
+    write: Mapping[Path, str]
+    remove: tuple[Path, ...]
+
+    def __bool__(self) -> bool:
+        return bool(self.write or self.remove)
+
+    def unified(self) -> str:
+        """The change as a unified diff."""
+        changes = [(path, _text_or_nothing(path), text) for path, text in self.write.items()]
+        changes += [(path, _text_or_nothing(path), "") for path in self.remove]
+        return "".join(
+            line
+            for path, old, new in changes
+            for line in difflib.unified_diff(
+                old.splitlines(keepends=True),
+                new.splitlines(keepends=True),
+                f"{path} (on disk)",
+                f"{path} (from the spec)",
+            )
+        )
+
+    def apply(self) -> None:
+        """Write what changed, each file whole or not at all, then remove the orphans; raises BadInput."""
+        commit_all({path: text.encode() for path, text in self.write.items()})
+        for path in self.remove:
+            path.unlink(missing_ok=True)
+        for folder in {path.parent for path in self.remove}:
+            if folder.is_dir() and not any(folder.iterdir()):
+                folder.rmdir()
+
+
+def difference(controllers: Mapping[str, Mapping[str, str]], out: Path, *, complete: bool) -> Difference:
+    """How `out` differs from what `controllers` (name -> file name -> text) should make of it.
+
+    Orphans are files of our making that no spec stands for: in the folders of `controllers` and, when they are
+    `complete`, in every other folder of `out`. A file that clikgen did not write is never touched.
+    """
+    wanted = {out / name / file: text for name, files in controllers.items() for file, text in files.items()}
+    folders = [path for path in out.iterdir() if path.is_dir()] if complete and out.is_dir() else []
+    folders += [out / name for name in controllers]
+    orphans = sorted(
+        {
+            path
+            for folder in folders
+            for path in folder.glob("*")
+            if path not in wanted and path.is_file() and _is_ours(path)
+        }
+    )
+    write = {path: text for path, text in wanted.items() if _text_or_nothing(path) != text or not path.is_file()}
+    return Difference(write, tuple(orphans))
+
+
+def shipped_folder() -> Path:
+    """The folder of the controllers that ship, which `clikgen generate` keeps equal to the shipped specs."""
+    return Path(str(resources.files("clikgen.generated")))
+
+
+def _is_ours(path: Path) -> bool:
+    if path.name.endswith(TEMPORARY_SUFFIX):
+        return True
+    start = _text_or_nothing(path)[:200]
+    return (
+        c_code.MARK in start
+        if path.suffix in (".c", ".h")
+        else path.name == "manifest.json" and '"generator": "clikgen"' in start
+    )
+
+
+def _text_or_nothing(path: Path) -> str:
+    try:
+        return path.read_text(encoding="utf-8")
+    except (FileNotFoundError, NotADirectoryError):
+        return ""
+    except OSError as error:
+        raise BadInput(f"{path}: cannot be read: {error.strerror}") from None
+    except UnicodeDecodeError:
+        return ""
