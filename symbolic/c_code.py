@@ -18,8 +18,8 @@ def source(controller: Controller, functions: Sequence[FunctionInfo]) -> str:
     generator = ca.CodeGenerator(f"{name}.c", {"indent": 2})
     for function in controller.functions:
         generator.add(function.casadi)
-    # CasADi leaves its scalar helpers (sq, fmin, ...) visible outside; inside a shared library each would be a call
-    # through the linkage table, and two controllers in one program would share their names.
+    # CasADi leaves its scalar helpers (sq, fmin, ...) visible outside, which makes every use in a shared library
+    # a call through the linkage table.
     body = re.sub(r"^(casadi_real casadi_\w+\()", r"static \1", generator.dump(), flags=re.MULTILINE)
     counts = "".join(f" *   {function.symbol}: {function.instructions} instructions\n" for function in functions)
     return (

@@ -37,7 +37,7 @@ def symbol(
     *,
     positive_definite: bool = False,
 ) -> Signal:
-    """A new input; `default` in `unit` is expanded to `shape` as SignalInfo.value says, `limits` hold each entry."""
+    """A new input whose entries lie within `limits`; `default` is expanded to `shape` as SignalInfo.value does."""
     info = SignalInfo(
         name=name,
         shape=shape,

@@ -1,7 +1,9 @@
 """The controller spec: one TOML file that says what robot, which tasks in which order, which law."""
 
 import pkgutil
+from functools import reduce
 from importlib import import_module, resources
+from operator import or_
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Self
 
@@ -18,12 +20,16 @@ if TYPE_CHECKING:
 
     AnyTask = TaskSpec
 else:  # the kinds are the files of a folder, so pydantic learns them when it starts
-    _filters = [
+
+    def _one_of(kinds):
+        kinds = tuple(kinds)
+        return kinds[0] if len(kinds) == 1 else Annotated[reduce(or_, kinds), Field(discriminator="kind")]
+
+    AnyTask = _one_of(task_kinds().values())
+    AnyFilter = _one_of(
         import_module(f"{filters.__name__}.{module.name}").Spec
         for module in pkgutil.iter_modules(filters.__path__)
-    ]
-    AnyTask = Annotated[tuple(task_kinds().values()), Field(discriminator="kind")]
-    AnyFilter = Annotated[tuple(_filters), Field(discriminator="kind")] if len(_filters) > 1 else _filters[0]
+    )
 
 
 class ObstacleCapacity(Document):

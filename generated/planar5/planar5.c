@@ -2307,11 +2307,11 @@ void planar5_step_defaults(planar5_step_input *input) {
   input->influence_radius[3] = 0.15;
   input->influence_radius[4] = 0.15;
   input->influence_radius[5] = 0.15;
-  input->filter_cutoff[0] = 2.0;
-  input->filter_cutoff[1] = 2.0;
-  input->filter_cutoff[2] = 2.0;
-  input->filter_cutoff[3] = 2.0;
-  input->filter_cutoff[4] = 2.0;
+  input->filter_cutoff[0] = 4.0;
+  input->filter_cutoff[1] = 4.0;
+  input->filter_cutoff[2] = 4.0;
+  input->filter_cutoff[3] = 4.0;
+  input->filter_cutoff[4] = 4.0;
   input->lam_event = 1.0;
   input->period = 0.01;
 }

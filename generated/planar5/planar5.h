@@ -107,7 +107,7 @@ typedef struct planar5_step_input {
   /* influence radius s of each point of interest (eq. 8) [m]; default {0.25, 0.25, 0.15, 0.15,
    * 0.15, 0.15}; 1e-06 to 1000 */
   double influence_radius[6];
-  /* f_c of each joint (eq. 15) [Hz]; default 2; 1e-06 to 1e+06 */
+  /* f_c of each joint (eq. 15) [Hz]; default 4; 1e-06 to 1e+06 */
   double filter_cutoff[5];
   /* λ while no region meets an obstacle [1]; default 0; 0 to 1 */
   double lam_free;
