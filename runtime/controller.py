@@ -9,7 +9,7 @@ from typing import Any, Self
 
 import cffi
 import numpy as np
-from clikgen.runtime.compiler import Compiler, compile_library
+from clikgen.runtime.compiler import Compiler, compile_library, find_compiler, library_path
 from clikgen.runtime.documents import BadInput, choices
 from clikgen.runtime.manifest import FunctionInfo, Manifest, SignalInfo, load_manifest
 from numpy.typing import ArrayLike, NDArray
@@ -86,10 +86,9 @@ class CompiledController:
         """
         folder = find_controller(name_or_folder)
         manifest = load_manifest(folder)
-        sources = [folder / f"{manifest.controller}.c", Path(str(resources.files(__package__))) / "rollout.c"]
         ffi = cffi.FFI()
         ffi.cdef(_ROLLOUT + "".join(_STEP.format(info.symbol) for info in manifest.functions))
-        library = ffi.dlopen(str(compile_library(sources, compiler)))
+        library = ffi.dlopen(str(compile_library(_sources(folder, manifest), compiler)))
         functions = {
             info.name: CompiledFunction(info, getattr(library, info.symbol)) for info in manifest.functions
         }
@@ -183,6 +182,15 @@ class CompiledController:
 
 def _stride(signal: SignalInfo, array: Array) -> int:
     return 0 if array.shape == signal.shape else signal.size
+
+
+def _sources(folder: Path, manifest: Manifest) -> list[Path]:
+    return [folder / f"{manifest.controller}.c", Path(str(resources.files(__package__))) / "rollout.c"]
+
+
+def is_compiled(folder: Path) -> bool:
+    """Whether the cache holds the controller of this folder, for the compiler in use; raises BadInput."""
+    return library_path(_sources(folder, load_manifest(folder)), find_compiler()).exists()
 
 
 def find_controller(name_or_folder: str | Path) -> Path:

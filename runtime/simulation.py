@@ -20,8 +20,9 @@ LONGEST = 10_000_000  # steps; longer is taken for a slip of the pen
 class Rollout:
     """What happened, over N steps of period T [s].
 
-    `signals` holds every output of the step over time, (N, ...), and the state q, (N + 1, n); the reference of
-    the first tracking task is (N, m) [m] and [m/s], obstacle centres (N, obstacles, m) and radii [m].
+    `signals` holds every output of the step over time, (N, ...), and the state q, (N + 1, n); `parameters` what
+    the step was given for each of its parameters. The reference of the first tracking task is (N, m) [m] and
+    [m/s], obstacle centres are (N, obstacles, m) and radii (obstacles,) [m].
     """
 
     scenario: Scenario
@@ -31,6 +32,7 @@ class Rollout:
     t: Array  # (N,) [s]
     signals: Mapping[str, Array]
     tracked: str
+    parameters: Mapping[str, Array]
     reference: Array
     reference_velocity: Array
     obstacle_center: Array
@@ -100,6 +102,11 @@ class Run:
             t=self.period * np.arange(self.steps, dtype=np.float64),
             signals=signals,
             tracked=tracked,
+            parameters={
+                signal.name: self.values[signal.name]
+                for signal in self.controller.step.info.inputs
+                if signal.role == "parameter"
+            },
             reference=self.values[f"{tracked}_reference"],
             reference_velocity=self.values[f"{tracked}_reference_velocity"],
             obstacle_center=nothing if centers is None else centers[:, :present],

@@ -1,0 +1,52 @@
+"""`clikgen generate`: spec files -> C, header and manifest."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+
+def command(
+    specs: Annotated[
+        list[Path] | None, typer.Argument(metavar="[SPEC]...", help="Spec files; default: those that ship.")
+    ] = None,
+    check: Annotated[
+        bool, typer.Option("--check", help="Write nothing; print a diff and exit 1 when stale.")
+    ] = False,
+    schema: Annotated[bool, typer.Option("--schema", help="Print the JSON schema of a spec file.")] = False,
+    out: Annotated[
+        Path | None,
+        typer.Option(help="Folder of the controllers; default: ./generated, or where the shipped ones are."),
+    ] = None,
+) -> int:
+    """Make the generated code equal to the specs: write what changed, remove what no spec stands for."""
+    from clikgen.cli.terminal import messages, print_json, progress_bar
+    from clikgen.runtime.documents import BadInput
+    from clikgen.symbolic.generate import difference, generate_file, shipped_folder
+    from clikgen.symbolic.spec import ControllerSpec, shipped_specs
+
+    if schema:
+        print_json(ControllerSpec.model_json_schema())
+        return 0
+    folder = out or (Path("generated") if specs else shipped_folder())
+    controllers: dict[str, dict[str, str]] = {}
+    with progress_bar() as progress:
+        for path in progress.track(specs or shipped_specs(), description="generating"):
+            name, files = generate_file(path)
+            if name in controllers:
+                raise BadInput(f"{path}: name: another spec is called '{name}' too")
+            controllers[name] = files
+    change = difference(controllers, folder, complete=not specs)
+    if check:
+        print(change.unified(), end="")
+        state = "stale: run 'clikgen generate'" if change else "up to date"
+        messages.print(f"{folder}: {', '.join(controllers)}: {state}")
+        return 1 if change else 0
+    change.apply()
+    for written in change.write:
+        messages.print(f"wrote {written}")
+    for removed in change.remove:
+        messages.print(f"removed {removed}")
+    if not change:
+        messages.print(f"{folder}: {', '.join(controllers)}: up to date, nothing written")
+    return 0

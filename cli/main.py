@@ -1,0 +1,34 @@
+"""`clikgen`: the commands, and one clear line with exit code 2 for bad input."""
+
+import sys
+
+import click
+import typer
+from clikgen.cli import demo, doctor, generate, listing, simulate
+from clikgen.runtime.documents import BadInput
+
+app = typer.Typer(
+    name="clikgen",
+    help="A robot and its prioritized tasks in one spec file -> CasADi -> C -> a fixed-rate loop.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+)
+app.command("demo")(demo.command)
+app.command("generate")(generate.command)
+app.command("simulate")(simulate.command)
+app.command("list")(listing.command)
+app.command("doctor")(doctor.command)
+
+
+def main() -> None:
+    """Run the command line; exit codes: 0 done, 1 the check does not hold, 2 bad input."""
+    try:
+        sys.exit(app(standalone_mode=False))
+    except (BadInput, click.ClickException) as error:
+        message = error.format_message() if isinstance(error, click.ClickException) else str(error)
+        print("clikgen: error: " + " ".join(message.split()), file=sys.stderr)
+        sys.exit(2)
+    except KeyboardInterrupt:
+        print("clikgen: interrupted", file=sys.stderr)
+        sys.exit(130)

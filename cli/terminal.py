@@ -1,0 +1,34 @@
+"""What every command says on the terminal: tables to read, progress on stderr, JSON alone on stdout."""
+
+import sys
+from collections.abc import Iterable, Sequence
+from typing import Any
+
+from clikgen.runtime.documents import json_text
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+from rich.table import Table
+
+messages = Console(stderr=True, highlight=False, soft_wrap=True)
+
+
+def print_json(document: Any) -> None:
+    """One JSON document on stdout."""
+    sys.stdout.write(json_text(document))
+
+
+def print_table(title: str, columns: Sequence[str], rows: Iterable[Sequence[str]]) -> None:
+    """A table on stdout; the first column is the name of the row."""
+    table = Table(title=title, title_justify="left", title_style="bold", show_lines=False)
+    for i, column in enumerate(columns):
+        table.add_column(column, style="bold" if i == 0 else None, no_wrap=i == 0)
+    for row in rows:
+        table.add_row(*row)
+    Console(highlight=False).print(table)
+
+
+def progress_bar() -> Progress:
+    """A progress bar on stderr that leaves nothing behind."""
+    return Progress(
+        TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn(), console=messages, transient=True
+    )

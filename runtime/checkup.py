@@ -1,0 +1,65 @@
+"""What clikgen needs of a machine, tried out."""
+
+import platform
+from collections.abc import Iterator
+from dataclasses import dataclass
+from importlib import metadata
+
+from clikgen.runtime.compiler import available_compilers, cache_folder
+from clikgen.runtime.controller import CompiledController
+from clikgen.runtime.documents import BadInput, write_atomically
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """One thing that was tried: what was found, whether it works, and what to do if not."""
+
+    what: str
+    found: str
+    works: bool
+    advice: str = ""
+
+
+def checkup() -> list[Finding]:
+    """Python and package versions, the compilers, the cache, and a controller compiled and stepped."""
+    return [*_versions(), *_compilers(), _cache(), _step()]
+
+
+def _versions() -> Iterator[Finding]:
+    yield Finding("python", platform.python_version(), True)
+    for package in ("clikgen", "casadi", "numpy", "scipy", "cffi", "matplotlib"):
+        yield Finding(package, metadata.version(package), True)
+
+
+def _compilers() -> Iterator[Finding]:
+    try:
+        compilers = available_compilers()
+    except BadInput as error:
+        yield Finding("compiler", str(error), False, "set CC to a C compiler, or unset it")
+        return
+    if not compilers:
+        yield Finding("compiler", "none", False, "install gcc or clang, or: pip install 'clikgen[zig]'")
+    for i, compiler in enumerate(compilers):
+        yield Finding(
+            "compiler, used" if i == 0 else "compiler", f"{' '.join(compiler.command)}: {compiler.version}", True
+        )
+
+
+def _cache() -> Finding:
+    folder = cache_folder()
+    try:
+        write_atomically(folder / "checkup", b"")
+        (folder / "checkup").unlink()
+    except BadInput as error:
+        return Finding("cache", str(error), False, "set CLIKGEN_CACHE to a folder you can write to")
+    libraries = list(folder.glob("*.so"))
+    return Finding("cache", f"{folder}: {len(libraries)} compiled", True)
+
+
+def _step() -> Finding:
+    try:
+        controller = CompiledController.load("planar5")
+    except BadInput as error:
+        return Finding("planar5", str(error), False, "see the lines above")
+    lam = controller.step()["lam"]
+    return Finding("planar5", f"compiled, loaded and stepped (λ = {float(lam):g})", True)
