@@ -14,14 +14,14 @@ from pathlib import Path
 
 import cffi
 import numpy as np
-
 from clikgen.runtime.compiler import FLAGS, compile_library, find_compiler
 from clikgen.runtime.controller import CompiledController, find_controller
 from clikgen.runtime.scenario import CASES, find_scenario, read_scenario
-from clikgen.runtime.simulation import prepare
+from clikgen.runtime.simulation import Run, prepare
 
 ROUNDS = 25
 CALLS = 20_000
+ROLLOUTS = 10
 
 
 def main() -> None:
@@ -49,7 +49,7 @@ def main() -> None:
         costs["bare C step"].append(per_call(lambda: bare(CALLS), CALLS))
         costs["step() from Python"].append(per_call(lambda: repeat(controller.step, {}), CALLS // 10))
         costs["step(...) from Python"].append(per_call(lambda: repeat(controller.step, moving), CALLS // 10))
-        costs["C rollout"].append(per_call(lambda: controller.rollout(run.steps, run.values), run.steps))
+        costs["C rollout"].append(per_call(lambda: rollouts(run), ROLLOUTS * run.steps))
     report({name: statistics.median(values) for name, values in costs.items()}, len(moving))
 
 
@@ -64,16 +64,19 @@ def bare_call(controller: CompiledController) -> Callable[[int], int]:
         "const double **, double **);"
     )
     compiled = ffi.dlopen(str(library))
-    arg = ffi.new(
-        "const double *[]", [ffi.cast("double *", b.ctypes.data) for b in controller.step.inputs.values()]
-    )
-    res = ffi.new("double *[]", [ffi.cast("double *", b.ctypes.data) for b in controller.step.outputs.values()])
+    arg = ffi.new("const double *[]", [ffi.from_buffer("double *", b) for b in controller.step.inputs.values()])
+    res = ffi.new("double *[]", [ffi.from_buffer("double *", b) for b in controller.step.outputs.values()])
     return lambda times: int(compiled.clikgen_repeat(compiled.planar5_step, times, arg, res))
 
 
 def repeat(step: Callable[..., object], values: dict[str, np.ndarray]) -> None:
     for _ in range(CALLS // 10):
         step(**values)
+
+
+def rollouts(run: Run) -> None:
+    for _ in range(ROLLOUTS):
+        run.controller.rollout(run.steps, run.values)
 
 
 def per_call(work: Callable[[], object], calls: int) -> float:
@@ -97,7 +100,8 @@ def report(cost: dict[str, float], named: int) -> None:
         print(json.dumps(document, indent=2))
         return
     print(
-        f"{document['machine']}\n{document['compiler']}\nplanar5, paper scenario, a step in contact; medians of {ROUNDS} rounds\n"
+        f"{document['machine']}\n{document['compiler']}\n"
+        f"planar5, paper scenario, a step in contact; medians of {ROUNDS} rounds\n"
     )
     for name, value in cost.items():
         note = f" ({named} inputs set)" if name == "step(...) from Python" else ""

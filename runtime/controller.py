@@ -36,6 +36,7 @@ class CompiledFunction:
         self._call = call
         self.inputs = MappingProxyType({signal.name: _buffer(signal) for signal in info.inputs})
         self.outputs = MappingProxyType({signal.name: _buffer(signal) for signal in info.outputs})
+        self._wanted = {name: (buffer, buffer.shape) for name, buffer in self.inputs.items()}
         self._arg = _ffi.new("const double *[]", _pointers(self.inputs, info.sz_arg))
         self._res = _ffi.new("double *[]", _pointers(self.outputs, info.sz_res))
 
@@ -46,14 +47,12 @@ class CompiledFunction:
         fill a whole vector in silence.
         """
         for name, value in values.items():
-            buffer = self.inputs.get(name)
-            if buffer is None:
+            if name not in self._wanted:
                 raise ValueError(f"{self.info.symbol}: no input '{name}'; {choices(name, self.inputs)}")
-            array = np.asarray(value)
-            if array.shape != buffer.shape:
-                raise ValueError(
-                    f"{name} must have shape {buffer.shape} for {self.info.symbol}, got {array.shape}"
-                )
+            buffer, shape = self._wanted[name]
+            array = value if type(value) is np.ndarray else np.asarray(value)
+            if array.shape != shape:
+                raise ValueError(f"{name} must have shape {shape} for {self.info.symbol}, got {array.shape}")
             buffer[...] = array
         self._call(self._arg, self._res, _ffi.NULL, _ffi.NULL, 0)
         return self.outputs
@@ -64,7 +63,7 @@ def _buffer(signal: SignalInfo) -> Array:
 
 
 def _pointers(buffers: Mapping[str, Array], length: int) -> list[Any]:
-    pointers = [_ffi.cast("double *", buffer.ctypes.data) for buffer in buffers.values()]
+    pointers = [_ffi.from_buffer("double *", buffer) for buffer in buffers.values()]
     return pointers + [_ffi.NULL] * (length - len(pointers))
 
 
@@ -159,7 +158,7 @@ class CompiledController:
         fed = {signal.feeds: signal.name for signal in info.outputs if signal.feeds}
         inputs, outputs = {}, {}
         for signal in info.inputs:
-            given = np.array(values.get(signal.name, _buffer(signal)), dtype=np.float64, order="C")
+            given = np.asarray(values.get(signal.name, _buffer(signal)), dtype=np.float64, order="C")
             if given.shape != signal.shape and (signal.name in fed or given.shape != (steps, *signal.shape)):
                 wanted = f"{signal.shape}" if signal.name in fed else f"{signal.shape} or {(steps, *signal.shape)}"
                 raise ValueError(f"{signal.name} must have shape {wanted}, got {given.shape}")
