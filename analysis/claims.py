@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
+
 from clikgen.analysis.metrics import (
     away_from_encounters,
     encounters,

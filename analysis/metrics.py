@@ -4,12 +4,13 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 
 import numpy as np
-from clikgen.runtime.documents import BadInput
-from clikgen.runtime.manifest import FAR
-from clikgen.runtime.simulation import Rollout
 from numpy.typing import NDArray
 from scipy.signal import find_peaks, welch
 from scipy.spatial import KDTree
+
+from clikgen.runtime.documents import BadInput
+from clikgen.runtime.manifest import FAR
+from clikgen.runtime.simulation import Rollout
 
 Array = NDArray[np.float64]
 
@@ -35,7 +36,7 @@ class Metrics:
     total_variation: float
     """Σ_k ‖q̇_k − q̇_{k−1}‖₁ [rad/s, m/s]."""
     tracking_rms: float
-    """RMS of ‖r_g − f_g(q)‖ [m]."""
+    """RMS of ‖r_g − f_g(q)‖ [m]; 0 without a tracking task."""
     tracking_max: float
     """Maximum of ‖r_g − f_g(q)‖ [m]."""
     final_error: float

@@ -5,6 +5,7 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
+
 from clikgen.analysis.metrics import hf_rms_by_joint, metrics, outside_limits
 from clikgen.runtime.realtime import Timing
 from clikgen.runtime.simulation import Rollout

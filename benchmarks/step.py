@@ -14,6 +14,7 @@ from pathlib import Path
 
 import cffi
 import numpy as np
+
 from clikgen.runtime.compiler import FLAGS, compile_library, find_compiler
 from clikgen.runtime.controller import CompiledController, find_controller
 from clikgen.runtime.scenario import CASES, find_scenario, read_scenario

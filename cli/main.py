@@ -2,8 +2,8 @@
 
 import sys
 
-import click
 import typer
+
 from clikgen.cli import demo, doctor, generate, listing, simulate
 from clikgen.runtime.documents import BadInput
 
@@ -25,9 +25,10 @@ def main() -> None:
     """Run the command line; exit codes: 0 done, 1 the check does not hold, 2 bad input."""
     try:
         sys.exit(app(standalone_mode=False))
-    except (BadInput, click.ClickException) as error:
-        message = error.format_message() if isinstance(error, click.ClickException) else str(error)
-        print("clikgen: error: " + " ".join(message.split()), file=sys.stderr)
+    except (BadInput, typer.TyperException) as error:
+        message = str(error) if isinstance(error, BadInput) else error.format_message()
+        if message:  # none where `clikgen` alone has printed its help
+            print("clikgen: error: " + " ".join(message.split()), file=sys.stderr)
         sys.exit(2)
     except KeyboardInterrupt:
         print("clikgen: interrupted", file=sys.stderr)

@@ -9,7 +9,7 @@ import typer
 def command(
     scenario: Annotated[str, typer.Argument(help="A scenario that ships, or a .toml file.")],
     case: Annotated[
-        int | None, typer.Option(min=1, max=3, help="1 NSB, 2 with filter, 3 with filter and planner.")
+        int | None, typer.Option(help="1 NSB, 2 with filter, 3 with filter and planner; default: all.")
     ] = None,
     settings: Annotated[
         list[str] | None,
@@ -26,11 +26,13 @@ def command(
     from clikgen.cli.freshness import demand_fresh
     from clikgen.cli.terminal import messages, print_json, print_table, progress_bar
     from clikgen.runtime.controller import CompiledController
-    from clikgen.runtime.documents import json_text, write_atomically
+    from clikgen.runtime.documents import BadInput, json_text, write_atomically
     from clikgen.runtime.realtime import MonotonicClock
     from clikgen.runtime.scenario import CASES, find_scenario, read_scenario
     from clikgen.runtime.simulation import prepare
 
+    if case is not None and case not in CASES:
+        raise BadInput(f"--case: wanted one of {', '.join(map(str, CASES))}, got {case}")
     path = find_scenario(scenario)
     wanted = read_scenario(path, settings or [])
     demand_fresh(wanted.controller)

@@ -4,10 +4,11 @@ import sys
 from collections.abc import Iterable, Sequence
 from typing import Any
 
-from clikgen.runtime.documents import json_text
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
+
+from clikgen.runtime.documents import json_text
 
 messages = Console(stderr=True, highlight=False, soft_wrap=True)
 

@@ -48,9 +48,12 @@ def available_compilers() -> list[Compiler]:
     Raises BadInput when $CC names a program that is not there.
     """
     found = []
-    wanted = os.environ.get("CC", "")
+    wanted = os.environ.get("CC", "").strip()
     if wanted:
-        command = shlex.split(wanted)
+        try:
+            command = shlex.split(wanted)
+        except ValueError as error:
+            raise BadInput(f"$CC: wanted a C compiler, got {wanted!r}: {error}") from None
         if shutil.which(command[0]) is None:
             raise BadInput(f"$CC: wanted a C compiler, got {wanted!r}, which is not on the PATH")
         found.append(command)
@@ -83,9 +86,9 @@ def _identity(command: Sequence[str]) -> str:
 def cache_folder() -> Path:
     """Where compiled libraries are kept: $CLIKGEN_CACHE, else the user's cache folder."""
     if own := os.environ.get("CLIKGEN_CACHE"):
-        return Path(own)
+        return Path(own).resolve()
     base = os.environ.get("XDG_CACHE_HOME") or str(Path.home() / ".cache")
-    return Path(base) / "clikgen"
+    return Path(base).resolve() / "clikgen"
 
 
 def library_path(sources: Sequence[Path], compiler: Compiler) -> Path:
@@ -118,6 +121,8 @@ def compile_library(sources: Sequence[Path], compiler: Compiler | None = None) -
         if outcome.returncode != 0:
             complaint = next((line for line in outcome.stderr.splitlines() if "error" in line), outcome.stderr)
             raise BadInput(f"{shlex.join(compiler.command)} failed on {sources[0]}: {complaint.strip()}")
+        if temporary.stat().st_size == 0:
+            raise BadInput(f"{shlex.join(compiler.command)} wrote nothing for {sources[0]}: is it a C compiler?")
         temporary.replace(library)
     finally:
         temporary.unlink(missing_ok=True)

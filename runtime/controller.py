@@ -9,19 +9,21 @@ from typing import Any, Self
 
 import cffi
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
 from clikgen.runtime.compiler import Compiler, compile_library, find_compiler, library_path
 from clikgen.runtime.documents import BadInput, choices
 from clikgen.runtime.manifest import FunctionInfo, Manifest, SignalInfo, load_manifest
-from numpy.typing import ArrayLike, NDArray
 
 Array = NDArray[np.float64]
 
 _ffi = cffi.FFI()
-_STEP = "int {}(const double **, double **, long long *, double *, int);"  # CasADi's calling convention
-_ROLLOUT = (
-    "int clikgen_rollout(int (*)(const double **, double **, long long *, double *, int), long long, "
-    "int, const double **, const long long *, int, double **, const long long *);"
-)
+_ffi.cdef("typedef struct { void *function; const double **arg; double **res; } clikgen_evaluation;")
+_FUNCTION = "int {}(const double **, double **, long long *, double *, int);"  # CasADi's calling convention
+_CALLS = """
+int clikgen_evaluate(const clikgen_evaluation *);
+int clikgen_repeat(const clikgen_evaluation *, long long, int, const long long *, int, const long long *);
+"""
 
 
 class CompiledFunction:
@@ -31,14 +33,14 @@ class CompiledFunction:
     into the one, read from the other, copy what has to outlive the next call.
     """
 
-    def __init__(self, info: FunctionInfo, call: Any) -> None:
+    def __init__(self, info: FunctionInfo, library: Any) -> None:
         self.info = info
-        self._call = call
+        self._library = library
         self.inputs = MappingProxyType({signal.name: _buffer(signal) for signal in info.inputs})
         self.outputs = MappingProxyType({signal.name: _buffer(signal) for signal in info.outputs})
         self._wanted = {name: (buffer, buffer.shape) for name, buffer in self.inputs.items()}
-        self._arg = _ffi.new("const double *[]", _pointers(self.inputs, info.sz_arg))
-        self._res = _ffi.new("double *[]", _pointers(self.outputs, info.sz_res))
+        self._own, self._kept = self._evaluation(self.inputs, self.outputs)
+        self._evaluate = library.clikgen_evaluate
 
     def __call__(self, **values: ArrayLike) -> Mapping[str, Array]:
         """Evaluate once, after copying `values` into the inputs they name; an input not named keeps its value.
@@ -54,8 +56,60 @@ class CompiledFunction:
             if array.shape != shape:
                 raise ValueError(f"{name} must have shape {shape} for {self.info.symbol}, got {array.shape}")
             buffer[...] = array
-        self._call(self._arg, self._res, _ffi.NULL, _ffi.NULL, 0)
+        self._evaluate(self._own)
         return self.outputs
+
+    def with_own_buffers(self) -> "CompiledFunction":
+        """The same function with other buffers, at their defaults."""
+        return CompiledFunction(self.info, self._library)
+
+    def map(self, count: int, values: Mapping[str, ArrayLike]) -> dict[str, Array]:
+        """`count` independent evaluations inside compiled C.
+
+        Each value is a constant in its input's shape or one per evaluation, (count, *shape); inputs not named
+        have their defaults. Returns every output, (count, *shape). Raises BadInput for an unknown name and
+        ValueError for another shape.
+        """
+        inputs = self._arrays(count, values)
+        outputs = {signal.name: np.empty((count, *signal.shape)) for signal in self.info.outputs}
+        self._repeat(count, inputs, outputs)
+        return outputs
+
+    def _arrays(self, count: int, values: Mapping[str, ArrayLike]) -> dict[str, Array]:
+        """An array for every input, checked."""
+        for name in values:
+            self.info.input(name)
+        arrays = {}
+        for signal in self.info.inputs:
+            array = np.asarray(values.get(signal.name, _buffer(signal)), dtype=np.float64, order="C")
+            if array.shape not in (signal.shape, (count, *signal.shape)):
+                raise ValueError(
+                    f"{signal.name} must have shape {signal.shape} or {(count, *signal.shape)}, got {array.shape}"
+                )
+            arrays[signal.name] = array
+        return arrays
+
+    def _repeat(self, count: int, inputs: Mapping[str, Array], outputs: Mapping[str, Array]) -> None:
+        """`count` evaluations in C, each signal's array walked by its own stride."""
+        evaluation, kept = self._evaluation(inputs, outputs)
+        failed = self._library.clikgen_repeat(
+            evaluation,
+            count,
+            len(inputs),
+            [_stride(signal, inputs[signal.name]) for signal in self.info.inputs],
+            len(outputs),
+            [signal.size for signal in self.info.outputs],
+        )
+        del kept  # held until here: C reads through it
+        if failed:
+            raise RuntimeError(f"{self.info.symbol} returned {failed}")
+
+    def _evaluation(self, inputs: Mapping[str, Array], outputs: Mapping[str, Array]) -> tuple[Any, Any]:
+        """The function with these buffers, as C wants it, and the pointer tables that have to outlive its use."""
+        arg = _ffi.new("const double *[]", _pointers(inputs, self.info.sz_arg))
+        res = _ffi.new("double *[]", _pointers(outputs, self.info.sz_res))
+        function = _ffi.cast("void *", getattr(self._library, self.info.symbol))
+        return _ffi.new("clikgen_evaluation *", {"function": function, "arg": arg, "res": res}), (arg, res)
 
 
 def _buffer(signal: SignalInfo) -> Array:
@@ -63,7 +117,7 @@ def _buffer(signal: SignalInfo) -> Array:
 
 
 def _pointers(buffers: Mapping[str, Array], length: int) -> list[Any]:
-    pointers = [_ffi.from_buffer("double *", buffer) for buffer in buffers.values()]
+    pointers = [_ffi.from_buffer("double *", buffer.data) for buffer in buffers.values()]
     return pointers + [_ffi.NULL] * (length - len(pointers))
 
 
@@ -75,7 +129,6 @@ class CompiledController:
     kinematics: CompiledFunction
     jacobians: CompiledFunction
     step: CompiledFunction
-    _library: Any
 
     @classmethod
     def load(cls, name_or_folder: str | Path, compiler: Compiler | None = None) -> Self:
@@ -86,12 +139,11 @@ class CompiledController:
         folder = find_controller(name_or_folder)
         manifest = load_manifest(folder)
         ffi = cffi.FFI()
-        ffi.cdef(_ROLLOUT + "".join(_STEP.format(info.symbol) for info in manifest.functions))
+        ffi.include(_ffi)
+        ffi.cdef(_CALLS + "".join(_FUNCTION.format(info.symbol) for info in manifest.functions))
         library = ffi.dlopen(str(compile_library(_sources(folder, manifest), compiler)))
-        functions = {
-            info.name: CompiledFunction(info, getattr(library, info.symbol)) for info in manifest.functions
-        }
-        return cls(manifest, functions["kinematics"], functions["jacobians"], functions["step"], library)
+        functions = {info.name: CompiledFunction(info, library) for info in manifest.functions}
+        return cls(manifest, functions["kinematics"], functions["jacobians"], functions["step"])
 
     def rollout(self, steps: int, values: Mapping[str, ArrayLike]) -> dict[str, Array]:
         """`steps` periods inside compiled C.
@@ -101,21 +153,7 @@ class CompiledController:
         (steps, *shape), and every state by the name of its input, shape (steps + 1, *shape).
         """
         inputs, outputs = self._rollout_arrays(steps, values)
-        arg = _ffi.new("const double *[]", _pointers(inputs, self.step.info.sz_arg))
-        res = _ffi.new("double *[]", _pointers(outputs, self.step.info.sz_res))
-        arg_stride = [_stride(signal, inputs[signal.name]) for signal in self.step.info.inputs]
-        failed = self._library.clikgen_rollout(
-            self.step._call,
-            steps,
-            len(inputs),
-            arg,
-            arg_stride,
-            len(outputs),
-            res,
-            [signal.size for signal in self.step.info.outputs],
-        )
-        if failed:
-            raise RuntimeError(f"{self.step.info.symbol} returned {failed}")
+        self.step._repeat(steps, inputs, outputs)
         return self._named(inputs, outputs)
 
     def rollout_stepwise(self, steps: int, values: Mapping[str, ArrayLike]) -> dict[str, Array]:
@@ -133,16 +171,17 @@ class CompiledController:
         Call it for k = 0 .. steps−1 in this order: each period goes on from the state before.
         """
         inputs, outputs = self._rollout_arrays(steps, values)
+        evaluate = self.step.with_own_buffers()
         varying = {}
         for signal in self.step.info.inputs:
             array = inputs[signal.name]
             if _stride(signal, array):
                 varying[signal.name] = array
             else:
-                self.step.inputs[signal.name][...] = array
+                evaluate.inputs[signal.name][...] = array
 
         def step(k: int) -> None:
-            results = self.step(**{name: array[k] for name, array in varying.items()})
+            results = evaluate(**{name: array[k] for name, array in varying.items()})
             for name, array in outputs.items():
                 array[k] = results[name]
 
@@ -153,25 +192,19 @@ class CompiledController:
     ) -> tuple[dict[str, Array], dict[str, Array]]:
         """Arrays for every input and output; a state is one array, its output a view one period further."""
         info = self.step.info
-        for name in values:
-            info.input(name)
         fed = {signal.feeds: signal.name for signal in info.outputs if signal.feeds}
-        inputs, outputs = {}, {}
-        for signal in info.inputs:
-            given = np.asarray(values.get(signal.name, _buffer(signal)), dtype=np.float64, order="C")
-            if given.shape != signal.shape and (signal.name in fed or given.shape != (steps, *signal.shape)):
-                wanted = f"{signal.shape}" if signal.name in fed else f"{signal.shape} or {(steps, *signal.shape)}"
-                raise ValueError(f"{signal.name} must have shape {wanted}, got {given.shape}")
-            if signal.name in fed:
-                history = np.empty((steps + 1, *signal.shape))
-                history[0] = given
-                inputs[signal.name], outputs[fed[signal.name]] = history, history[1:]
-            else:
-                inputs[signal.name] = given
-        ordered = {
-            signal.name: outputs.get(signal.name, np.empty((steps, *signal.shape))) for signal in info.outputs
-        }
-        return inputs, ordered
+        inputs = self.step._arrays(steps, values)
+        outputs = {signal.name: np.empty((steps, *signal.shape)) for signal in info.outputs if not signal.feeds}
+        for state, output in fed.items():
+            start = inputs[state]
+            if start.shape != info.input(state).shape:
+                raise ValueError(
+                    f"{state} is a state: it must have shape {info.input(state).shape}, got {start.shape}"
+                )
+            history = np.empty((steps + 1, *start.shape))
+            history[0] = start
+            inputs[state], outputs[output] = history, history[1:]
+        return inputs, {signal.name: outputs[signal.name] for signal in info.outputs}
 
     def _named(self, inputs: dict[str, Array], outputs: dict[str, Array]) -> dict[str, Array]:
         states = {signal.name: signal.feeds for signal in self.step.info.outputs if signal.feeds}
@@ -184,7 +217,7 @@ def _stride(signal: SignalInfo, array: Array) -> int:
 
 
 def _sources(folder: Path, manifest: Manifest) -> list[Path]:
-    return [folder / f"{manifest.controller}.c", Path(str(resources.files(__package__))) / "rollout.c"]
+    return [folder / f"{manifest.controller}.c", Path(str(resources.files(__package__))) / "calls.c"]
 
 
 def is_compiled(folder: Path) -> bool:

@@ -11,8 +11,9 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
-from clikgen.runtime.documents import BadInput, Document, Number, choices, read_text
 from numpy.typing import ArrayLike, NDArray
+
+from clikgen.runtime.documents import BadInput, Document, Number, choices, read_text
 
 FAR = 1e6  # [m] the distance reported where there is no obstacle
 

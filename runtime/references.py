@@ -5,10 +5,11 @@ from pathlib import Path
 from typing import Annotated, Literal, Self
 
 import numpy as np
-from clikgen.runtime.documents import BadInput, Document, NonNegative, Number, Positive, read_text
 from numpy.typing import NDArray
-from pydantic import Field, model_validator
+from pydantic import Field, PrivateAttr, model_validator
 from scipy.interpolate import CubicSpline
+
+from clikgen.runtime.documents import BadInput, Document, NonNegative, Number, Positive, read_text
 
 Array = NDArray[np.float64]
 Position = Annotated[tuple[Number, ...], Field(min_length=1, max_length=3)]
@@ -196,13 +197,10 @@ class Csv(_Interpolated):
 
     kind: Literal["csv"]
     file: str
+    _rows: tuple[Array, Array] = PrivateAttr()
 
     @model_validator(mode="after")
-    def _knots_are_sound(self) -> Self:
-        _check_knots(*self._knots())
-        return self
-
-    def _knots(self) -> tuple[Array, Array]:
+    def _file_is_read_once(self) -> Self:
         lines = read_text(Path(self.file)).splitlines()[1:]
         try:
             rows = np.array([[float(cell) for cell in line.split(",")] for line in lines if line.strip()])
@@ -210,7 +208,12 @@ class Csv(_Interpolated):
             raise BadInput(f"{self.file}: wanted rows of numbers 't,x,y' of one length: {error}") from None
         if rows.ndim != 2 or rows.shape[1] < 2 or not np.all(np.isfinite(rows)):
             raise BadInput(f"{self.file}: wanted a header, then rows of finite numbers 't,x,y'")
-        return rows[:, 0], rows[:, 1:]
+        self._rows = rows[:, 0], rows[:, 1:]
+        _check_knots(*self._rows)
+        return self
+
+    def _knots(self) -> tuple[Array, Array]:
+        return self._rows
 
 
 AnyTrajectory = Annotated[Fixed | Line | PointToPoint | Circle | Spline | Csv, Field(discriminator="kind")]

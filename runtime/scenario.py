@@ -6,6 +6,8 @@ from importlib import resources
 from pathlib import Path
 from typing import Annotated, Any, Self
 
+from pydantic import Field, model_validator
+
 from clikgen.runtime.documents import (
     BadInput,
     Document,
@@ -19,7 +21,6 @@ from clikgen.runtime.documents import (
 )
 from clikgen.runtime.manifest import Manifest
 from clikgen.runtime.references import AnyTrajectory, Fixed, Trajectory
-from pydantic import Field, model_validator
 
 
 @dataclass(frozen=True, slots=True)

@@ -5,12 +5,13 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
+
 from clikgen.runtime.controller import CompiledController
 from clikgen.runtime.documents import BadInput
 from clikgen.runtime.manifest import Manifest
 from clikgen.runtime.realtime import Clock, Timing, run_at_fixed_rate
 from clikgen.runtime.scenario import Case, Scenario, check_against
-from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 LONGEST = 10_000_000  # steps; longer is taken for a slip of the pen
@@ -22,7 +23,7 @@ class Rollout:
 
     `signals` holds every output of the step over time, (N, ...), and the state q, (N + 1, n); `parameters` what
     the step was given for each of its parameters. The reference of the first tracking task is (N, m) [m] and
-    [m/s], obstacle centres are (N, obstacles, m) and radii (obstacles,) [m].
+    [m/s], (N, 0) without one; obstacle centres are (N, obstacles, m) and radii (obstacles,) [m].
     """
 
     scenario: Scenario
@@ -31,7 +32,7 @@ class Rollout:
     period: float
     t: Array  # (N,) [s]
     signals: Mapping[str, Array]
-    tracked: str
+    tracked: str | None
     parameters: Mapping[str, Array]
     reference: Array
     reference_velocity: Array
@@ -50,13 +51,13 @@ class Rollout:
 
     @property
     def position(self) -> Array:
-        """Where the tracked frame was, (N, m) [m]."""
-        return self.signals[f"{self.tracked}_position"]
+        """Where the tracked frame was, (N, m) [m]; (N, 0) without one."""
+        return self.signals.get(f"{self.tracked}_position", self.reference)
 
     @property
     def error(self) -> Array:
-        """Reference minus position, (N, m) [m]."""
-        return self.signals[f"{self.tracked}_error"]
+        """Reference minus position, (N, m) [m]; (N, 0) without a tracking task."""
+        return self.signals.get(f"{self.tracked}_error", self.reference)
 
     @property
     def active(self) -> NDArray[np.bool_]:
@@ -90,7 +91,8 @@ class Run:
         return self._rollout(signals), timing
 
     def _rollout(self, signals: Mapping[str, Array]) -> Rollout:
-        tracked = next(iter(self.scenario.references))
+        tracked = next(iter(self.scenario.references), None)
+        untracked = np.zeros((self.steps, 0))
         centers = self.values.get("obstacle_center")
         present = len(self.scenario.obstacles)
         nothing = np.zeros((self.steps, 0, self.controller.manifest.dimension))
@@ -107,8 +109,8 @@ class Run:
                 for signal in self.controller.step.info.inputs
                 if signal.role == "parameter"
             },
-            reference=self.values[f"{tracked}_reference"],
-            reference_velocity=self.values[f"{tracked}_reference_velocity"],
+            reference=self.values.get(f"{tracked}_reference", untracked),
+            reference_velocity=self.values.get(f"{tracked}_reference_velocity", untracked),
             obstacle_center=nothing if centers is None else centers[:, :present],
             obstacle_radius=np.array([obstacle.radius for obstacle in self.scenario.obstacles]),
         )
@@ -128,7 +130,9 @@ def prepare(controller: CompiledController, scenario: Scenario, case: Case, sour
                 if given is None
                 else signal.value(given, f"{source}: parameters.{signal.name}")
             )
-    values["lam_free"], values["lam_event"] = np.array(case.lam_free), np.array(case.lam_event)
+    for name, share in (("lam_free", case.lam_free), ("lam_event", case.lam_event)):
+        if name in values:  # without obstacles there is no event
+            values[name] = np.array(share)
     period = float(values["period"])
     steps = math.floor(scenario.duration / period + 1e-9)
     if not 1 <= steps <= LONGEST:

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import casadi as ca
 import numpy as np
+
 from clikgen.runtime.manifest import FunctionInfo, SignalInfo
 from clikgen.symbolic.controller import Controller
 
@@ -24,7 +25,7 @@ def source(controller: Controller, functions: Sequence[FunctionInfo]) -> str:
     counts = "".join(f" *   {function.symbol}: {function.instructions} instructions\n" for function in functions)
     return (
         f"/* {name}.c -- {MARK} from the spec '{name}'; do not edit, change the spec and regenerate.\n"
-        f" *\n * {controller.spec.description}\n *\n{counts}"
+        f" *\n * {_comment(controller.spec.description)}\n *\n{counts}"
         f" * Arguments, shapes and units: {name}.h. No allocation, no global state; libm only.\n"
         " * Do not compile with -ffast-math or -Ofast: they change results and drop the guards against NaN.\n"
         " */\n\n"
@@ -42,7 +43,7 @@ def header(controller: Controller, functions: Sequence[FunctionInfo]) -> str:
     tasks = "".join(f" *   {level}. {task.name} ({task.kind})\n" for level, task in enumerate(spec.tasks, start=1))
     return (
         f"/* {spec.name}.h -- {MARK} from the spec '{spec.name}'; do not edit.\n"
-        f" *\n * {spec.description}\n *\n"
+        f" *\n * {_comment(spec.description)}\n *\n"
         f" * Tasks, the highest priority first, under the law '{spec.law}':\n{tasks}"
         " *\n"
         f" * In the loop: {spec.name}_step_defaults() once; then every period fill q, references and obstacles,\n"
@@ -57,6 +58,11 @@ def header(controller: Controller, functions: Sequence[FunctionInfo]) -> str:
         + "\n".join(_declarations(function) for function in functions)
         + f"\n#ifdef __cplusplus\n}}\n#endif\n\n#endif /* {guard} */\n"
     )
+
+
+def _comment(text: str) -> str:
+    """Any text as one line that can stand in a C comment."""
+    return " ".join(text.split()).replace("*/", "* /").replace("/*", "/ *").rstrip("\\")
 
 
 def _declarations(function: FunctionInfo) -> str:

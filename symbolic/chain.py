@@ -5,8 +5,9 @@ from typing import Self
 
 import casadi as ca
 import numpy as np
-from clikgen.symbolic.robot import Robot, Vector
 from numpy.typing import NDArray
+
+from clikgen.symbolic.robot import Robot, Vector
 
 Array = NDArray[np.float64]
 

@@ -5,6 +5,8 @@ from dataclasses import dataclass
 from importlib import import_module
 
 import casadi as ca
+
+from clikgen.runtime.documents import BadInput
 from clikgen.symbolic import laws
 from clikgen.symbolic.chain import SerialChain
 from clikgen.symbolic.obstacles import Obstacles, Sensing
@@ -78,21 +80,22 @@ def _step(
     q_next, lam, planner_inputs = spec.planner.build(q_filtered, q_raw, event)
     dq = (q_next - q.expression) / period.expression
 
-    rate = ", ".join(f"{joint.unit}/s" for joint in spec.robot.joints)
+    n, rate = q.info.shape, ", ".join(f"{joint.unit}/s" for joint in spec.robot.joints)
     outputs = [
-        result("q_next", q_next, q.info.unit, "joint position one period on (eq. 19)", "state", feeds="q"),
-        result("dq", dq, rate, "joint velocity that leads there, (q_next − q)/T", "command"),
-        result("dq_law", dq_law, rate, "joint velocity of the law alone (eq. 11)", "diagnostic"),
+        result("q_next", q_next, n, q.info.unit, "joint position one period on (eq. 19)", "state", feeds="q"),
+        result("dq", dq, n, rate, "joint velocity that leads there, (q_next − q)/T", "command"),
+        result("dq_law", dq_law, n, rate, "joint velocity of the law alone (eq. 11)"),
         *(signal for task in tasks for signal in task.diagnostics),
-        result("lam", lam, "1", "λ, the share of the filter (eq. 17)", "diagnostic"),
+        result("lam", lam, (), "1", "λ, the share of the filter (eq. 17)"),
     ]
     inputs = [q, *(signal for task in tasks for signal in task.inputs)]
     if sensing:
         inputs += sensing.inputs
+        points = (len(sensing.contacts),)
         outputs += [
-            result("active", event, "1", "1 while d <= s for some point of interest, else 0", "diagnostic"),
-            result("distance", sensing.distance, "m", "d, each point to its closest obstacle", "diagnostic"),
-            result("clearance", sensing.clearance, "m", "least d − s; negative is intrusion", "diagnostic"),
+            result("active", event, (), "1", "1 while d <= s for some point of interest, else 0"),
+            result("distance", sensing.distance, points, "m", "d, each point to its closest obstacle"),
+            result("clearance", sensing.clearance, (), "m", "least d − s; negative is intrusion"),
         ]
     return [*inputs, *filter_inputs, *planner_inputs, period], outputs
 
@@ -102,30 +105,13 @@ def _positions(chain: SerialChain, tasks: Sequence[Task]) -> list[Signal]:
     outputs = [signal for task in tasks for signal in task.positions]
     points = chain.robot.points_of_interest
     if points:
-        rows = [chain.position(point.link, point.offset).T for point in points]
-        outputs.append(
-            result(
-                "point_position",
-                ca.vertcat(*rows),
-                "m",
-                "r of every point of interest",
-                "diagnostic",
-                shape=(len(points), chain.robot.dimension),
-            )
-        )
+        places = ca.vertcat(*(chain.position(point.link, point.offset).T for point in points))
+        shape = (len(points), chain.robot.dimension)
+        outputs.append(result("point_position", places, shape, "m", "r of every point of interest"))
     poses = [chain.poses[joint.link] for joint in chain.robot.joints]
-    stacked = ca.vertcat(*(ca.horzcat(pose.rotation, pose.position) for pose in poses))
-    outputs.append(
-        result(
-            "link_pose",
-            stacked,
-            "1, m",
-            "rows [R | p] of world_T_link, per link",
-            "diagnostic",
-            shape=(len(poses), 3, 4),
-        )
-    )
-    return outputs
+    rows = ca.vertcat(*(ca.horzcat(pose.rotation, pose.position) for pose in poses))
+    pose_shape = (len(poses), 3, 4)
+    return [*outputs, result("link_pose", rows, pose_shape, "1, m", "rows [R | p] of world_T_link, per link")]
 
 
 def _jacobians(chain: SerialChain, tasks: Sequence[Task]) -> list[Signal]:
@@ -133,26 +119,26 @@ def _jacobians(chain: SerialChain, tasks: Sequence[Task]) -> list[Signal]:
     outputs = [signal for task in tasks for signal in task.jacobians]
     points = chain.robot.points_of_interest
     if points:
-        stacked = ca.vertcat(*(chain.position_jacobian(point.link, point.offset) for point in points))
-        outputs.append(
-            result(
-                "point_jacobian",
-                stacked,
-                "m per joint unit",
-                "J_r = ∂r/∂q of every point of interest",
-                "diagnostic",
-                shape=(len(points), chain.robot.dimension, chain.q.numel()),
-            )
-        )
+        rows = ca.vertcat(*(chain.position_jacobian(point.link, point.offset) for point in points))
+        shape = (len(points), chain.robot.dimension, chain.q.numel())
+        text = "J_r = ∂r/∂q of every point of interest"
+        outputs.append(result("point_jacobian", rows, shape, "m per joint unit", text))
     return outputs
 
 
 def _function(
     spec: ControllerSpec, name: str, description: str, inputs: Sequence[Signal], outputs: Sequence[Signal]
 ) -> ControllerFunction:
-    """The function of those inputs on which the outputs depend, common subexpressions shared."""
+    """The function of the state and the inputs it depends on, common subexpressions shared; raises BadInput."""
     columns = [signal.column for signal in outputs]
-    used = tuple(signal for signal in inputs if ca.depends_on(ca.vertcat(*columns), signal.column))
+    together = ca.vertcat(*columns)
+    used = tuple(
+        signal for signal in inputs if signal.info.role == "state" or ca.depends_on(together, signal.column)
+    )
+    names = [signal.info.name for signal in (*used, *outputs)]
+    for signal_name in names:
+        if names.count(signal_name) > 1:
+            raise BadInput(f"two signals are called '{signal_name}': give the task another name")
     function = ca.Function(
         f"{spec.name}_{name}",
         [signal.column for signal in used],

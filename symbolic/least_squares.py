@@ -2,6 +2,8 @@
 
 import casadi as ca
 
+ROUNDING = 2.0**-46  # of the trace: what rounding (64 times 2^-52) can leave of a pivot that is zero
+
 
 def damped_pseudo_inverse_times(J: ca.SX, v: ca.SX, damping: ca.SX) -> ca.SX:
     """J⁺ v with J⁺ = Jᵀ(J Jᵀ + damping² I)⁻¹: the damped least-squares joint velocity, shape (n, 1).
@@ -10,14 +12,14 @@ def damped_pseudo_inverse_times(J: ca.SX, v: ca.SX, damping: ca.SX) -> ca.SX:
     """
     m = J.shape[0]
     gram = J @ J.T + damping**2 * ca.SX.eye(m)  # (m, m)
-    return J.T @ _ldl_solve(gram, v, smallest_pivot=damping**2)
+    return J.T @ _ldl_solve(gram, v, smallest_pivot=damping**2 + ROUNDING * ca.trace(gram))
 
 
 def _ldl_solve(A: ca.SX, b: ca.SX, smallest_pivot: ca.SX) -> ca.SX:
     """Solve A x = b for symmetric A (m, m) and b (m, 1) by one LDLᵀ factorisation, unrolled.
 
-    With A − smallest_pivot·I positive semidefinite no exact pivot is below smallest_pivot; holding the computed
-    ones there keeps rounding at a singular J from turning a pivot to zero or below.
+    A pivot below smallest_pivot is held there: at a singular J it is rounding noise, zero or below, and dividing
+    by it would send the solution anywhere.
     """
     m = A.shape[0]
     L = ca.SX.eye(m)

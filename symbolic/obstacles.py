@@ -4,6 +4,7 @@ from dataclasses import dataclass
 from typing import Self
 
 import casadi as ca
+
 from clikgen.runtime.manifest import FAR
 from clikgen.symbolic.chain import SerialChain
 from clikgen.symbolic.signals import Signal, symbol

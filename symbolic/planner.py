@@ -3,9 +3,10 @@
 from typing import Annotated
 
 import casadi as ca
+from pydantic import Field
+
 from clikgen.runtime.documents import Document
 from clikgen.symbolic.signals import Signal, symbol
-from pydantic import Field
 
 Share = Annotated[float, Field(strict=True, ge=0, le=1)]
 

@@ -7,8 +7,9 @@ positions and obstacles have two coordinates.
 import math
 from typing import Annotated, Literal, Self
 
-from clikgen.runtime.documents import BadInput, Document, Identifier, Number, Positive, choices
 from pydantic import Field, model_validator
+
+from clikgen.runtime.documents import BadInput, Document, Identifier, Number, Positive, choices
 
 Vector = tuple[Number, Number, Number]
 

@@ -2,12 +2,12 @@
 
 import math
 from dataclasses import dataclass
-from typing import Any
 
 import casadi as ca
 import numpy as np
-from clikgen.runtime.manifest import Role, SignalInfo
 from numpy.typing import ArrayLike
+
+from clikgen.runtime.manifest import Role, SignalInfo
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -53,12 +53,17 @@ def symbol(
     return Signal(info, ca.SX.sym(name, info.size))
 
 
-def result(name: str, expression: ca.SX, unit: str, description: str, role: Role, **more: Any) -> Signal:
-    """A new output of the expression's shape; (1, 1) becomes a scalar and (m, 1) a vector, `shape=` overrides."""
-    rows, columns = expression.shape
-    shape = (rows, columns) if columns > 1 else (rows,) if rows > 1 else ()
-    shape = more.pop("shape", shape)
-    if math.prod(shape) != rows * columns:
+def result(
+    name: str,
+    expression: ca.SX,
+    shape: tuple[int, ...],
+    unit: str,
+    description: str,
+    role: Role = "diagnostic",
+    feeds: str | None = None,
+) -> Signal:
+    """A new output of `shape` from an expression with as many entries, taken row by row."""
+    if math.prod(shape) != expression.numel():
         raise ValueError(f"{name}: an expression of shape {expression.shape} does not fill {shape}")
-    info = SignalInfo(name=name, shape=shape, unit=unit, description=description, role=role, **more)
+    info = SignalInfo(name=name, shape=shape, unit=unit, description=description, role=role, feeds=feeds)
     return Signal(info, ca.densify(ca.vec(expression.T)))

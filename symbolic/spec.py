@@ -7,13 +7,14 @@ from operator import or_
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Self
 
+from pydantic import Field, model_validator
+
 from clikgen.runtime.documents import Document, Identifier, choices, read_toml
 from clikgen.runtime.manifest import sha256
 from clikgen.symbolic import filters, laws
 from clikgen.symbolic.planner import Planner
 from clikgen.symbolic.robot import Robot
 from clikgen.symbolic.task import TaskSpec, task_kinds
-from pydantic import Field, model_validator
 
 if TYPE_CHECKING:
     from clikgen.symbolic.filters.first_order import Spec as AnyFilter

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from importlib import import_module
 
 import casadi as ca
+
 from clikgen.runtime.documents import Document, Identifier
 from clikgen.symbolic import tasks as task_modules
 from clikgen.symbolic.chain import SerialChain

@@ -4,7 +4,7 @@
  *
  *   planar5_kinematics: 145 instructions
  *   planar5_jacobians: 762 instructions
- *   planar5_step: 929 instructions
+ *   planar5_step: 933 instructions
  * Arguments, shapes and units: planar5.h. No allocation, no global state; libm only.
  * Do not compile with -ffast-math or -Ofast: they change results and drop the guards against NaN.
  */
@@ -1620,13 +1620,17 @@ static int casadi_f2(const casadi_real** arg, casadi_real** res, casadi_int* iw,
   a142=(a142+a148);
   a154=casadi_sq(a151);
   a154=(a154*a145);
-  a142=(a142-a154);
-  a142=casadi_fmax(a142,a148);
-  a153=(a153/a142);
+  a154=(a142-a154);
+  a155=1.4210854715202004e-14;
+  a145=(a145+a142);
+  a155=(a155*a145);
+  a148=(a148+a155);
+  a154=casadi_fmax(a154,a148);
+  a153=(a153/a154);
   a151=(a151*a153);
   a149=(a149+a151);
   a151=(a032-a021);
-  a142=9.9999999999999998e-13;
+  a154=9.9999999999999998e-13;
   a014=(a038?a014:0);
   a028=(a042?a028:0);
   a035=(a040?a035:0);
@@ -1636,7 +1640,7 @@ static int casadi_f2(const casadi_real** arg, casadi_real** res, casadi_int* iw,
   a028=(a028+a035);
   a028=(a044?a028:0);
   a014=(a014+a028);
-  a028=(a142<a014);
+  a028=(a154<a014);
   a013=(a038?a013:0);
   a027=(a042?a027:0);
   a012=(a040?a012:0);
@@ -1662,7 +1666,7 @@ static int casadi_f2(const casadi_real** arg, casadi_real** res, casadi_int* iw,
   a053=(a053+a056);
   a053=(a062?a053:0);
   a049=(a049+a053);
-  a053=(a142<a049);
+  a053=(a154<a049);
   a048=(a057?a048:0);
   a052=(a060?a052:0);
   a047=(a058?a047:0);
@@ -1689,7 +1693,7 @@ static int casadi_f2(const casadi_real** arg, casadi_real** res, casadi_int* iw,
   a079=(a079+a083);
   a079=(a090?a079:0);
   a074=(a074+a079);
-  a079=(a142<a074);
+  a079=(a154<a074);
   a073=(a085?a073:0);
   a078=(a088?a078:0);
   a082=(a086?a082:0);
@@ -1716,7 +1720,7 @@ static int casadi_f2(const casadi_real** arg, casadi_real** res, casadi_int* iw,
   a101=(a101+a105);
   a101=(a112?a101:0);
   a096=(a096+a101);
-  a101=(a142<a096);
+  a101=(a154<a096);
   a095=(a107?a095:0);
   a100=(a110?a100:0);
   a104=(a108?a104:0);
@@ -1743,7 +1747,7 @@ static int casadi_f2(const casadi_real** arg, casadi_real** res, casadi_int* iw,
   a121=(a121+a125);
   a121=(a132?a121:0);
   a119=(a119+a121);
-  a121=(a142<a119);
+  a121=(a154<a119);
   a118=(a127?a118:0);
   a120=(a130?a120:0);
   a124=(a128?a124:0);
@@ -1770,7 +1774,7 @@ static int casadi_f2(const casadi_real** arg, casadi_real** res, casadi_int* iw,
   a022=(a022+a033);
   a022=(a020?a022:0);
   a136=(a136+a022);
-  a142=(a142<a136);
+  a154=(a154<a136);
   a004=(a002?a004:0);
   a026=(a023?a026:0);
   a034=(a039?a034:0);
@@ -1780,8 +1784,8 @@ static int casadi_f2(const casadi_real** arg, casadi_real** res, casadi_int* iw,
   a026=(a020?a026:0);
   a004=(a004+a026);
   a004=(a004/a136);
-  a004=(a142?a004:0);
-  a026=(!a142);
+  a004=(a154?a004:0);
+  a026=(!a154);
   a026=(a026?a024:0);
   a004=(a004+a026);
   a026=(a120*a004);
@@ -1888,7 +1892,7 @@ static int casadi_f2(const casadi_real** arg, casadi_real** res, casadi_int* iw,
   a002=(a002/a136);
   a136=(a120*a002);
   a136=(a137?a136:0);
-  a136=(a142?a136:0);
+  a136=(a154?a136:0);
   a014=(a014+a136);
   a136=(a014*a153);
   a037=(a037+a136);
@@ -1933,7 +1937,7 @@ static int casadi_f2(const casadi_real** arg, casadi_real** res, casadi_int* iw,
   a094=(a133?a094:0);
   a045=(a045+a094);
   a094=(a002*a150);
-  a094=(a142?a094:0);
+  a094=(a154?a094:0);
   a097=(a004*a143);
   a094=(a094-a097);
   a094=(a120*a094);
@@ -1967,7 +1971,7 @@ static int casadi_f2(const casadi_real** arg, casadi_real** res, casadi_int* iw,
   a117=(a133?a117:0);
   a091=(a091+a117);
   a117=(a002*a152);
-  a117=(a142?a117:0);
+  a117=(a154?a117:0);
   a069=(a004*a147);
   a117=(a117-a069);
   a117=(a120*a117);
@@ -1985,10 +1989,10 @@ static int casadi_f2(const casadi_real** arg, casadi_real** res, casadi_int* iw,
   a100=(a100*a121);
   a133=(a133?a100:0);
   a002=(a002*a116);
-  a142=(a142?a002:0);
+  a154=(a154?a002:0);
   a004=(a004*a134);
-  a142=(a142-a004);
-  a120=(a120*a142);
+  a154=(a154-a004);
+  a120=(a120*a154);
   a137=(a137?a120:0);
   a133=(a133+a137);
   a116=(a116*a153);

@@ -4,6 +4,7 @@ import math
 from typing import Literal
 
 import casadi as ca
+
 from clikgen.runtime.documents import Document, Positive
 from clikgen.symbolic.signals import Signal, symbol
 

@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 
 import casadi as ca
+
 from clikgen.symbolic.least_squares import damped_pseudo_inverse_times
 from clikgen.symbolic.task import Task
 

@@ -2,7 +2,6 @@
 
 from typing import Literal
 
-import casadi as ca
 from clikgen.runtime.documents import Number, Positive
 from clikgen.symbolic.chain import SerialChain
 from clikgen.symbolic.obstacles import Sensing
@@ -65,20 +64,17 @@ class Spec(TaskSpec):
             damping=damping.expression,
             inputs=(reference, velocity, gain, damping),
             diagnostics=(
-                result(f"{name}_position", position, "m", f"f_g(q), where frame {frame.name} is", "diagnostic"),
-                result(f"{name}_error", error, "m", "r_g − f_g(q)", "diagnostic"),
+                result(f"{name}_position", position, (m,), "m", f"f_g(q), where frame {frame.name} is"),
+                result(f"{name}_error", error, (m,), "m", "r_g − f_g(q)"),
             ),
-            positions=(
-                result(f"{name}_position", position, "m", f"position of frame {frame.name}", "diagnostic"),
-            ),
+            positions=(result(f"{name}_position", position, (m,), "m", f"position of frame {frame.name}"),),
             jacobians=(
                 result(
                     f"{name}_jacobian",
                     jacobian,
+                    (m, chain.q.numel()),
                     "m per joint unit",
                     f"J_g = ∂f_g/∂q of frame {frame.name}",
-                    "diagnostic",
-                    shape=(m, ca.SX.numel(chain.q)),
                 ),
             ),
         )

@@ -3,6 +3,7 @@
 from typing import Literal
 
 import casadi as ca
+
 from clikgen.runtime.documents import BadInput, NonNegative, Positive
 from clikgen.symbolic.chain import SerialChain
 from clikgen.symbolic.obstacles import Sensing
@@ -43,7 +44,6 @@ class Spec(TaskSpec):
             jacobian += contact.depth * contact.approach
         gain = symbol(f"{name}_gain", (), "1/s", "K_o (eq. 10)", "parameter", (0.0, 1e6), self.gain)
         damping = symbol(f"{name}_damping", (), "m^2", "damping of J_o⁺", "parameter", (1e-9, 1e3), self.damping)
-        potential_out = result(f"{name}_potential", potential, "m^2", "V, sum of eq. 8", "diagnostic")
         return Task(
             name=name,
             jacobian=jacobian,
@@ -52,16 +52,15 @@ class Spec(TaskSpec):
             gain=gain.expression,
             damping=damping.expression,
             inputs=(gain, damping),
-            diagnostics=(potential_out,),
+            diagnostics=(result(f"{name}_potential", potential, (), "m^2", "V, sum of eq. 8"),),
             positions=(),
             jacobians=(
                 result(
                     f"{name}_jacobian",
                     jacobian,
+                    (chain.q.numel(),),
                     "m^2 per joint unit",
                     "J_o = ∂V/∂q, sum of eq. 9",
-                    "diagnostic",
-                    shape=(chain.q.numel(),),
                 ),
             ),
         )

@@ -1,0 +1,284 @@
+"""One GIF of all cases: the robots, their influence regions, what they trace, and λ over time."""
+
+import io
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.artist import Artist
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.collections import PolyCollection
+from matplotlib.colors import to_rgba
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch, Rectangle
+from matplotlib.text import Text
+from numpy.typing import NDArray
+from PIL import Image
+from scipy.spatial import KDTree
+
+from clikgen.analysis import drawing
+from clikgen.analysis.drawing import COMMANDED, CONTACT, LAM, OBSTACLE, REGION, STYLE, TRACED
+from clikgen.runtime.controller import CompiledController
+from clikgen.runtime.documents import write_atomically
+from clikgen.runtime.simulation import Rollout
+
+Array = NDArray[np.float64]
+Pixels = NDArray[np.uint8]  # (..., 3)
+
+DPI = 100
+FRAME_TIME = 80  # [ms]
+LAST_FRAME_TIME = 1500  # [ms] before it starts again
+COLOURS = 255
+_FIVE_BITS = np.array([1 << 10, 1 << 5, 1], dtype=np.uint16)
+_BUCKETS = 8 * np.stack(np.unravel_index(np.arange(1 << 15), (32, 32, 32)), axis=1) + 4  # middles, (32768, 3)
+_TARGET: dict[str, Any] = {"color": COMMANDED, "marker": "o", "markersize": 5.0, "markerfacecolor": "white"}
+WIDE = 2.5  # scenes at least this much wider than high stand above each other, others beside each other
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Panel:
+    """A case: what is known of it at every frame, and the shapes that move."""
+
+    rollout: Rollout
+    steps: Sequence[int]  # frame -> step
+    poses: drawing.Poses
+    contact: NDArray[np.bool_]  # (frames, points), see _contact
+    radii: Array  # (points,) [m]
+    robot: PolyCollection
+    joints: Line2D
+    regions: PolyCollection
+    obstacles: PolyCollection
+    trace: Line2D
+    target: Line2D  # the commanded position
+    curtains: tuple[Rectangle, ...]  # what is still to come of the signals over time
+
+    @property
+    def artists(self) -> tuple[Artist, ...]:
+        """The shapes that move, in the order to draw them in."""
+        return (self.regions, self.robot, self.joints, self.obstacles, self.trace, self.target, *self.curtains)
+
+    def show(self, frame: int) -> None:
+        """Move every shape to where it is at a frame."""
+        k = self.steps[frame]
+        self.robot.set_verts(self.poses.polygons(frame))
+        self.joints.set_data(*self.poses.joints[frame].T)
+        if self.radii.size:
+            self.regions.set_verts(list(drawing.circles(self.poses.points[frame], self.radii)))
+            colours = [CONTACT if touched else REGION for touched in self.contact[frame]]
+            self.regions.set_facecolor([to_rgba(colour, 0.35) for colour in colours])
+            self.regions.set_edgecolor(colours)
+        self.obstacles.set_verts(
+            list(drawing.discs(self.rollout.obstacle_center[k], self.rollout.obstacle_radius))
+        )
+        self.trace.set_data(*self.rollout.position[: k + 1, :2].T)
+        self.target.set_data(*self.rollout.reference[[k], :2].T)
+        for curtain in self.curtains:
+            curtain.set_x(self.rollout.t[k])
+
+
+def animate(
+    rollouts: Mapping[int, Rollout],
+    controller: CompiledController,
+    path: Path,
+    frames: int = 90,
+    progress: Callable[[str], None] = drawing.ignore,
+) -> None:
+    """Write a GIF of `frames` (2 or more) even moments of the rollouts, the whole file or none.
+
+    `rollouts` maps the number of a case to its rollout: one scenario on `controller`, cases in order. Raises
+    BadInput for a rollout that diverged or has a few steps only, and when the folder cannot be written to.
+    """
+    drawing.require_drawable(rollouts)
+    progress(str(path))
+    with mpl.rc_context(STYLE):
+        figure, panels, clock = _stage(rollouts, controller, frames)
+        content = _gif(_painter(figure, panels, clock), len(panels[0].steps))
+    write_atomically(path, content)
+
+
+def _stage(
+    rollouts: Mapping[int, Rollout], controller: CompiledController, frames: int
+) -> tuple[Figure, list[_Panel], Text]:
+    """The figure with all that rests, a panel per case, and the text that tells the time."""
+    every = list(rollouts.values())
+    steps = np.unique(np.linspace(0, len(every[0].t) - 1, max(frames, 2)).astype(int)).tolist()
+    poses = {number: drawing.poses(controller, rollout, steps) for number, rollout in rollouts.items()}
+    radii = drawing.influence_radii(every[0])
+    scene = drawing.extent(every, places=[robot.places(radii) for robot in poses.values()])
+    figure, places = _layout(len(rollouts), scene.aspect)
+    panels = [
+        _panel(places[i], rollouts, rollout, steps, poses[number], scene)
+        for i, (number, rollout) in enumerate(rollouts.items())
+    ]
+    for axes in (axes for above in places[:-1] for axes in above if scene.aspect > WIDE):
+        axes.tick_params(labelbottom=False)
+        axes.set_xlabel("")
+    clock = figure.suptitle("t = 0.00 s", x=0.99, ha="right", fontsize=12)
+    entries = _entries(every[0], drawing.telling_joints(rollouts))
+    figure.legend(handles=entries, loc="outside lower center", ncols=4)
+    return figure, panels, clock
+
+
+def _layout(cases: int, aspect: float) -> tuple[Figure, list[list[Axes]]]:
+    """An empty figure, and per case its axes: scene, velocity and λ, the latter two beside or below the scene."""
+    if aspect > WIDE:
+        figure = Figure(figsize=(9.6, 1.3 + cases * (0.35 + 6.0 / aspect)), dpi=DPI, layout="constrained")
+        grid = figure.add_gridspec(2 * cases, 2, width_ratios=[6.0, 3.2], height_ratios=[2.0, 1.0] * cases)
+        parts = [(grid[2 * i : 2 * i + 2, 0], grid[2 * i, 1], grid[2 * i + 1, 1]) for i in range(cases)]
+    else:
+        scene = min(10.0 / cases / aspect, 5.0)
+        figure = Figure(figsize=(10.8, 3.2 + scene), dpi=DPI, layout="constrained")
+        grid = figure.add_gridspec(3, cases, height_ratios=[scene, 0.9, 0.45])
+        parts = [(grid[0, i], grid[1, i], grid[2, i]) for i in range(cases)]
+    return figure, [[figure.add_subplot(part) for part in three] for three in parts]
+
+
+def _panel(
+    places: Sequence[Axes],
+    rollouts: Mapping[int, Rollout],
+    rollout: Rollout,
+    steps: Sequence[int],
+    poses: drawing.Poses,
+    extent: drawing.Extent,
+) -> _Panel:
+    """A case in its axes, with the shapes that will move."""
+    scene, velocity, lam = places
+    extent.apply(scene)
+    scene.set(xlabel="$x$ [m]", ylabel="$y$ [m]")
+    scene.set_title(f"Case {rollout.case.number}: {rollout.case.title}", loc="left", fontweight="bold")
+    scene.plot(*rollout.reference[:, :2].T, color=COMMANDED, linestyle=(0, (5, 3)), linewidth=1.0)
+    _velocities(velocity, rollouts, rollout)
+    _lam(lam, rollout)
+    radii = drawing.influence_radii(rollout)
+    regions = PolyCollection([], linewidths=0.8)
+    scene.add_collection(regions, autolim=False)
+    return _Panel(
+        rollout=rollout,
+        steps=steps,
+        poses=poses,
+        contact=_contact(rollout, radii, steps),
+        radii=radii,
+        robot=drawing.add_robot(scene),
+        joints=scene.plot([], [], "o", color=drawing.ROBOT_EDGE, markersize=3.5)[0],
+        regions=regions,
+        obstacles=drawing.add_obstacles(scene, rollout.obstacle_center[0], rollout.obstacle_radius),
+        trace=scene.plot([], [], color=TRACED, linewidth=1.6)[0],
+        target=scene.plot([], [], **_TARGET)[0],
+        curtains=tuple(_curtain(axes, rollout) for axes in (velocity, lam)),
+    )
+
+
+def _contact(rollout: Rollout, radii: Array, steps: Sequence[int]) -> NDArray[np.bool_]:
+    """Whether each point of interest met an obstacle at a frame or since the one before, (frames, points).
+
+    Contact may switch from sample to sample: to look only at the frames' own samples would draw lots.
+    """
+    if not radii.size:
+        return np.zeros((len(steps), 0), dtype=bool)
+    touching = rollout.signals["distance"] <= radii  # (N, points)
+    before = [-1, *steps[:-1]]
+    return np.array([touching[b + 1 : k + 1].any(axis=0) for b, k in zip(before, steps, strict=True)])
+
+
+def _velocities(axes: Axes, rollouts: Mapping[int, Rollout], rollout: Rollout) -> None:
+    joints = drawing.telling_joints(rollouts)
+    for i in drawing.covering_first(rollout, joints):
+        axes.plot(rollout.t, rollout.dq[:, i], color=drawing.joint_colour(i), linewidth=0.8)
+    axes.set_ylim(drawing.value_range([each.dq[:, joints] for each in rollouts.values()]))
+    axes.set_ylabel(f"$\\dot{{q}}$ [{rollout.manifest.joints[joints[0]].unit}/s]")
+    axes.tick_params(labelbottom=False)
+
+
+def _lam(axes: Axes, rollout: Rollout) -> None:
+    axes.fill_between(rollout.t, rollout.signals["lam"], step="post", color=LAM, linewidth=0)
+    axes.plot(rollout.t, rollout.signals["lam"], color=LAM, drawstyle="steps-post", linewidth=1.5)
+    axes.set(ylim=(-0.05, 1.1), yticks=[0, 1], ylabel="λ", xlabel="$t$ [s]")
+
+
+def _curtain(axes: Axes, rollout: Rollout) -> Rectangle:
+    """A veil over the future of axes over time."""
+    drawing.shade(axes, drawing.encounter_times(rollout))
+    axes.set_xlim(rollout.t[0], rollout.t[-1])
+    low, high = axes.get_ylim()
+    veil = Rectangle((0.0, low), rollout.t[-1] + 1.0, high - low, facecolor="white", alpha=0.8, linewidth=0)
+    axes.add_patch(veil)
+    return veil
+
+
+def _entries(rollout: Rollout, joints: Sequence[int]) -> list[Artist]:
+    names = [rollout.manifest.joints[i].name.replace("_", " ") for i in joints]
+    regions = [
+        Patch(facecolor=to_rgba(REGION, 0.35), edgecolor=REGION, label="influence region"),
+        Patch(facecolor=to_rgba(CONTACT, 0.35), edgecolor=CONTACT, label="in contact"),
+    ]
+    obstacle = Patch(facecolor=OBSTACLE, edgecolor="black", label="obstacle")
+    return [
+        Line2D([], [], linestyle=(0, (5, 3)), label="commanded", **_TARGET),
+        Line2D([], [], color=TRACED, label="traced"),
+        *(regions if drawing.influence_radii(rollout).size else []),
+        *([obstacle] if rollout.obstacle_radius.size else []),
+        *(
+            Line2D([], [], color=drawing.joint_colour(i), label=f"velocity of {name}")
+            for i, name in zip(joints, names, strict=True)
+        ),
+        Patch(facecolor=LAM, label="λ, share of the filter"),
+    ]
+
+
+def _painter(figure: Figure, panels: Sequence[_Panel], clock: Text) -> Callable[[int], Pixels]:
+    """A function that draws a frame: what rests was drawn once, only what moves is drawn again."""
+    canvas: Any = FigureCanvasAgg(figure)  # whose methods matplotlib leaves untyped
+    moving = [artist for panel in panels for artist in panel.artists] + [clock]
+    for artist in moving:
+        artist.set_animated(True)
+    canvas.draw()
+    resting = canvas.copy_from_bbox(figure.bbox)
+
+    def paint(frame: int) -> Pixels:
+        canvas.restore_region(resting)
+        clock.set_text(f"t = {panels[0].rollout.t[panels[0].steps[frame]]:.2f} s")
+        for panel in panels:
+            panel.show(frame)
+        for artist in moving:
+            figure.draw_artist(artist)
+        return np.asarray(canvas.buffer_rgba())[..., :3].copy()
+
+    return paint
+
+
+def _gif(paint: Callable[[int], Pixels], frames: int) -> bytes:
+    """All frames as a GIF that repeats, with one palette, found first from a few of them."""
+    colours = _common_colours([paint(frame) for frame in range(0, frames, max(1, frames // 6))])
+    nearest = np.asarray(KDTree(colours).query(_BUCKETS)[1], dtype=np.uint8)  # bucket -> colour
+    nearest[_bucket(colours)] = np.arange(len(colours))
+    first, *rest = [Image.fromarray(nearest[_bucket(paint(frame))]) for frame in range(frames)]
+    for image in (first, *rest):
+        image.putpalette(colours.tobytes())
+    durations = [FRAME_TIME] * len(rest) + [LAST_FRAME_TIME]
+    buffer = io.BytesIO()
+    first.save(buffer, "GIF", save_all=True, append_images=rest, duration=durations, loop=0, disposal=1)
+    return buffer.getvalue()
+
+
+def _common_colours(images: Sequence[Pixels]) -> Pixels:
+    """The most common colours of some images, at most one in every bucket, (COLOURS or fewer, 3).
+
+    Flat areas keep their colours exactly; white stays white.
+    """
+    pixels = np.concatenate([image[::2, ::2].reshape(-1, 3) for image in images]).astype(np.uint32)
+    packed, counts = np.unique(pixels @ np.array([1 << 16, 1 << 8, 1], dtype=np.uint32), return_counts=True)
+    packed = packed[np.argsort(-counts, kind="stable")]
+    colours = np.stack([packed >> 16, packed >> 8 & 255, packed & 255], axis=1).astype(np.uint8)
+    first_of_bucket = np.sort(np.unique(_bucket(colours), return_index=True)[1])
+    return colours[first_of_bucket[:COLOURS]]
+
+
+def _bucket(pixels: Pixels) -> NDArray[np.uint16]:
+    """Five bits of every channel in one number: (..., 3) -> (...)."""
+    number: NDArray[np.uint16] = (pixels >> 3).astype(np.uint16) @ _FIVE_BITS
+    return number
