@@ -30,6 +30,7 @@ Array = NDArray[np.float64]
 
 DPI = 120
 ZOOM = 0.5  # [s] how much of a contact the zoomed axes show
+DOTS = 150  # samples in a zoomed axis that can be told apart as dots
 POSES = 6  # robot poses in a path figure
 KINDS = {"prismatic": "m", "revolute": "rad"}  # the joints that share axes, and their unit
 
@@ -516,7 +517,8 @@ def _draw_samples(
     """Every sample of a window as a dot; `held` draws it as constant over its period, as a velocity is."""
     style: Literal["steps-post", "default"] = "steps-post" if held else "default"
     t = rollout.t[window]
-    axes.plot(t, values[window], color=colour, drawstyle=style, linewidth=1.0, marker=".", markersize=3.0)
+    dot = "." if len(t) <= DOTS else ""
+    axes.plot(t, values[window], color=colour, drawstyle=style, linewidth=1.0, marker=dot, markersize=3.0)
 
 
 def _draw_obstacles(axes: Axes, rollout: Rollout, influence: float | None = None) -> None:

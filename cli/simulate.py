@@ -57,6 +57,6 @@ def command(
         print_json(document)
     else:
         print_table(*metrics_table(rollouts))
-        for number, timing in document["realtime"].items():
-            messages.print(f"case {number} in real time: {timing}")
+        for number, timing in timings.items():
+            messages.print(f"case {number} in real time: {timing.summary()}")
     return 0

@@ -62,6 +62,14 @@ class Timing:
             for name, seconds in (("latency_us", self.latency), ("work_us", self.work))
         }
 
+    def summary(self) -> str:
+        """Overruns and percentiles in one line."""
+        times = ", ".join(
+            f"{name.removesuffix('_us')} {' / '.join(f'{value:.0f}' for value in percentiles.values())} us"
+            for name, percentiles in self.percentiles().items()
+        )
+        return f"{self.overruns} of {len(self.work)} steps overran; p50 / p99 / max: {times}"
+
 
 def run_at_fixed_rate(step: Callable[[int], None], period: float, steps: int, clock: Clock) -> Timing:
     """Call step(k) at start + k·period [s] for k = 0 .. steps−1.
