@@ -111,12 +111,12 @@ def save(
         for ending in formats:
             path = folder / f"{name}.{ending}"
             progress(str(path))
-            write_atomically(path, _rendered(figure, ending))
+            write_atomically(path, rendered(figure, ending))
             paths.append(path)
     return paths
 
 
-def _rendered(figure: Figure, ending: str) -> bytes:
+def rendered(figure: Figure, ending: str) -> bytes:
     """The figure as the content of a file, without the time of day where the format would hold it."""
     dated = {"svg": "Date", "pdf": "CreationDate"}
     buffer = io.BytesIO()

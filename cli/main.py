@@ -4,7 +4,7 @@ import sys
 
 import typer
 
-from clikgen.cli import demo, doctor, generate, listing, simulate
+from clikgen.cli import analyse, demo, doctor, generate, listing, simulate
 from clikgen.runtime.documents import BadInput
 
 app = typer.Typer(
@@ -17,6 +17,7 @@ app = typer.Typer(
 app.command("demo")(demo.command)
 app.command("generate")(generate.command)
 app.command("simulate")(simulate.command)
+app.add_typer(analyse.app, name="analyse")
 app.command("list")(listing.command)
 app.command("doctor")(doctor.command)
 

@@ -1,0 +1,107 @@
+"""Studies as one self-contained HTML page that reads on a phone and prints for a design review."""
+
+import base64
+from collections.abc import Callable, Sequence
+from html import escape
+from string import Template
+
+from clikgen.analysis import drawing
+from clikgen.analysis.figures import rendered
+from clikgen.analysis.plates import Plate
+from clikgen.analysis.study import Study, Table
+from clikgen.runtime.manifest import Manifest
+
+_PAGE = Template("""<!doctype html>
+<html lang="en">
+<head>
+<meta charset="utf-8">
+<meta name="viewport" content="width=device-width, initial-scale=1">
+<title>$title</title>
+<style>
+:root { --ink: #1b2126; --quiet: #5d6b78; --line: #dde3e9; --accent: #0072b2; }
+* { box-sizing: border-box; }
+body { margin: 0 auto; padding: 1.2rem; max-width: 60rem; color: var(--ink); background: #fff;
+       font: 16px/1.5 system-ui, -apple-system, "Segoe UI", Roboto, "DejaVu Sans", sans-serif; }
+h1 { font-size: 1.7rem; line-height: 1.2; margin: 0 0 .3rem; }
+h2 { font-size: 1.3rem; margin: 2.6rem 0 .6rem; padding-top: .6rem; border-top: 2px solid var(--accent); }
+h3 { font-size: 1rem; margin: 1.6rem 0 .4rem; }
+.lead, figcaption, .assumptions { color: var(--quiet); }
+.lead, figcaption, .assumptions, footer { font-size: .9rem; }
+nav a { margin-right: 1rem; white-space: nowrap; }
+a { color: var(--accent); }
+ul.verdicts { padding: 0; list-style: none; }
+ul.verdicts li { margin: .4rem 0; padding: .5rem .8rem; border-left: 4px solid var(--accent);
+                 background: #f4f8fb; }
+figure { margin: 1.4rem 0; }
+img { display: block; max-width: 100%; height: auto; }
+.scroll { overflow-x: auto; }
+table { border-collapse: collapse; font-size: .88rem; }
+th, td { padding: .3rem .7rem .3rem 0; border-bottom: 1px solid var(--line); text-align: left;
+         vertical-align: top; }
+td { font-variant-numeric: tabular-nums; }
+code { word-break: break-all; font-size: .85em; }
+footer { margin-top: 3rem; color: var(--quiet); border-top: 1px solid var(--line); padding-top: .8rem; }
+@media print { h2 { break-before: page; } figure, table { break-inside: avoid; } nav { display: none; } }
+</style>
+</head>
+<body>
+<h1>$title</h1>
+<p class="lead">$lead</p>
+<nav>$contents</nav>
+$body
+<footer>$footer</footer>
+</body>
+</html>
+""")
+
+
+def html_report(
+    title: str,
+    lead: str,
+    studies: Sequence[Study],
+    manifest: Manifest,
+    progress: Callable[[str], None] = drawing.ignore,
+) -> str:
+    """One page: per study its verdicts, tables, figures and assumptions; at the end what was judged."""
+    sections = []
+    for i, study in enumerate(studies):
+        progress(study.title)
+        sections.append(_section(f"s{i}", study))
+    contents = "".join(f'<a href="#s{i}">{escape(study.title)}</a>' for i, study in enumerate(studies))
+    files = "".join(f"<br>{escape(name)} <code>{digest}</code>" for name, digest in manifest.source_sha256.items())
+    footer = (
+        f"Controller {escape(manifest.controller)}: {escape(manifest.description)}. Law {escape(manifest.law)}, "
+        f"filter {escape(manifest.filter)}, CasADi {escape(manifest.casadi)}.<br>"
+        f"Spec <code>{manifest.spec_sha256}</code>{files}"
+    )
+    return _PAGE.substitute(
+        title=escape(title), lead=escape(lead), contents=contents, body="\n".join(sections), footer=footer
+    )
+
+
+def _section(anchor: str, study: Study) -> str:
+    verdicts = "".join(f"<li>{escape(verdict)}</li>" for verdict in study.verdicts)
+    assumptions = "".join(f"<li>{escape(assumption)}</li>" for assumption in study.assumptions)
+    return (
+        f'<section id="{anchor}"><h2>{escape(study.title)}</h2><ul class="verdicts">{verdicts}</ul>'
+        + "".join(map(_figure, study.plates))
+        + "".join(map(_table, study.tables))
+        + f'<div class="assumptions"><h3>Assumptions</h3><ul>{assumptions}</ul></div></section>'
+    )
+
+
+def _figure(plate: Plate) -> str:
+    picture = base64.b64encode(rendered(plate.figure, "png")).decode()
+    return (
+        f'<figure><img alt="{escape(plate.caption, quote=True)}" src="data:image/png;base64,{picture}">'
+        f"<figcaption>{escape(plate.caption)}</figcaption></figure>"
+    )
+
+
+def _table(table: Table) -> str:
+    head = "".join(f"<th>{escape(column)}</th>" for column in table.columns)
+    rows = "".join("<tr>" + "".join(f"<td>{escape(cell)}</td>" for cell in row) + "</tr>" for row in table.rows)
+    return (
+        f'<h3>{escape(table.title)}</h3><div class="scroll"><table><thead><tr>{head}</tr></thead>'
+        f"<tbody>{rows}</tbody></table></div>"
+    )

@@ -1,0 +1,95 @@
+"""`clikgen analyse`: filter, CLIK loop, chatter, and a report of all three."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+if TYPE_CHECKING:
+    from clikgen.analysis.study import Study
+    from clikgen.runtime.simulation import Run
+
+app = typer.Typer(help="Choose T, K and f_c from evidence.", no_args_is_help=True)
+
+Settings = Annotated[
+    list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="A parameter or a key of the scenario.")
+]
+Out = Annotated[Path | None, typer.Option(help="Folder for figures (PNG, SVG) and their data (CSV).")]
+AsJson = Annotated[bool, typer.Option("--json", help="One JSON document on stdout.")]
+
+
+@app.command("filter")
+def filter_command(
+    controller: Annotated[str, typer.Argument(help="A generated controller.")] = "planar5",
+    cutoff: Annotated[float | None, typer.Option(help="f_c [Hz] of eq. 15; default: the manifest's.")] = None,
+    period: Annotated[float | None, typer.Option(help="Sampling time T [s]; default: the manifest's.")] = None,
+    design: Annotated[
+        float | None, typer.Option(metavar="HZ", help="A wanted true −3 dB frequency: gives β and f_c for it.")
+    ] = None,
+    out: Out = None,
+    as_json: AsJson = False,
+) -> int:
+    """The filter that the controller ships: response, true cut-off, noise gain, design in hertz."""
+    from clikgen.analysis.filter_study import filter_study
+    from clikgen.cli.freshness import demand_fresh
+    from clikgen.cli.terminal import progress_bar
+    from clikgen.runtime.controller import CompiledController
+
+    demand_fresh(controller)
+    with progress_bar() as progress:
+        progress.add_task("measuring the compiled filter", total=None)
+        study = filter_study(CompiledController.load(controller), cutoff, period, design)
+    return _deliver(study, out, as_json)
+
+
+@app.command("clik")
+def clik_command(
+    scenario: Annotated[str, typer.Argument(help="A scenario that ships, or a .toml file.")],
+    settings: Settings = None,
+    delay: Annotated[int, typer.Option(help="Transport delay [samples].")] = 0,
+    servo: Annotated[float, typer.Option(help="Lag of the joints' velocity servos [s].")] = 0.0,
+    out: Out = None,
+    as_json: AsJson = False,
+) -> int:
+    """Gain bounds against sampling time: linear, certified, measured; margins, root loci, ramp lag."""
+    from clikgen.analysis.clik_study import clik_study
+    from clikgen.cli.terminal import progress_bar
+
+    run = _run(scenario, settings)
+    with progress_bar() as progress:
+        progress.add_task("analysing the loop", total=None)
+        study = clik_study(run, delay, servo)
+    return _deliver(study, out, as_json)
+
+
+def _run(scenario: str, settings: list[str] | None, case: int = 1) -> "Run":
+    """A case of a scenario, ready to run."""
+    from clikgen.cli.freshness import demand_fresh
+    from clikgen.runtime.controller import CompiledController
+    from clikgen.runtime.scenario import CASES, find_scenario, read_scenario
+    from clikgen.runtime.simulation import prepare
+
+    path = find_scenario(scenario)
+    wanted = read_scenario(path, settings or [])
+    demand_fresh(wanted.controller)
+    return prepare(CompiledController.load(wanted.controller), wanted, CASES[case], str(path))
+
+
+def _deliver(study: "Study", out: Path | None, as_json: bool) -> int:
+    """Print a study and save its figures."""
+    from clikgen.analysis.plates import save_plates
+    from clikgen.cli.terminal import messages, print_json, print_table, progress_bar
+
+    if out:
+        with progress_bar() as progress:
+            task = progress.add_task("saving figures", total=None)
+            paths = save_plates(study.plates, out, lambda name: progress.update(task, description=name))
+        messages.print(f"wrote {len(paths)} files to {out}")
+    if as_json:
+        print_json(study.document)
+        return 0
+    for table in study.tables:
+        print_table(table.title, table.columns, table.rows)
+    for verdict in study.verdicts:
+        print(verdict)
+    return 0
