@@ -123,6 +123,9 @@ def compile_library(sources: Sequence[Path], compiler: Compiler | None = None) -
             raise BadInput(f"{shlex.join(compiler.command)} failed on {sources[0]}: {complaint.strip()}")
         if temporary.stat().st_size == 0:
             raise BadInput(f"{shlex.join(compiler.command)} wrote nothing for {sources[0]}: is it a C compiler?")
+        with temporary.open("rb") as written:
+            os.fsync(written.fileno())  # a library cut short by a power failure would kill every later run
+        temporary.chmod(0o755)
         temporary.replace(library)
     finally:
         temporary.unlink(missing_ok=True)

@@ -141,7 +141,11 @@ class CompiledController:
         ffi = cffi.FFI()
         ffi.include(_ffi)
         ffi.cdef(_CALLS + "".join(_FUNCTION.format(info.symbol) for info in manifest.functions))
-        library = ffi.dlopen(str(compile_library(_sources(folder, manifest), compiler)))
+        path = compile_library(_sources(folder, manifest), compiler)
+        try:
+            library = ffi.dlopen(str(path))
+        except OSError as error:
+            raise BadInput(f"{path}: cannot be loaded, delete it to compile anew: {error}") from None
         functions = {info.name: CompiledFunction(info, library) for info in manifest.functions}
         return cls(manifest, functions["kinematics"], functions["jacobians"], functions["step"])
 

@@ -91,7 +91,8 @@ class Run:
         return self._rollout(signals), timing
 
     def _rollout(self, signals: Mapping[str, Array]) -> Rollout:
-        tracked = next(iter(self.scenario.references), None)
+        tracking = (task.name for task in self.controller.manifest.tasks if task.equality)
+        tracked = next(tracking, None)
         untracked = np.zeros((self.steps, 0))
         centers = self.values.get("obstacle_center")
         present = len(self.scenario.obstacles)

@@ -268,3 +268,16 @@ def test_two_processes_compile_into_an_empty_cache_at_once(source, cache, tmp_pa
     assert printed[0] == printed[1]
     assert list(cache.iterdir()) == [Path(printed[0])]
     assert ctypes.CDLL(printed[0]).answer() == 42
+
+
+def test_a_library_that_cannot_be_loaded_is_a_bad_input_that_names_it(planar5_folder, cache):
+    CompiledController.load(planar5_folder)
+    (library,) = cache.glob("planar5-*.so")
+    library.unlink()  # the loaded one stays mapped: writing into it would kill this process
+    library.write_bytes(b"not a library")
+    with pytest.raises(BadInput, match=f"{library.name}: cannot be loaded, delete it"):
+        CompiledController.load(planar5_folder)
+
+
+def test_a_library_may_be_read_by_everyone(source, cache):
+    assert compile_library([source]).stat().st_mode & 0o777 == 0o755

@@ -5,7 +5,7 @@ import pytest
 
 from clikgen.runtime.controller import CompiledController
 from clikgen.runtime.documents import BadInput
-from clikgen.runtime.scenario import CASES
+from clikgen.runtime.scenario import CASES, Obstacle
 from clikgen.runtime.simulation import prepare
 
 
@@ -266,3 +266,23 @@ def test_more_obstacles_than_the_controller_holds_are_a_bad_input(paper_run):
     scenario = run.scenario.model_copy(update={"obstacles": run.scenario.obstacles * 4})
     with pytest.raises(BadInput, match="at most 3 for planar5, got 4"):
         prepare(run.controller, scenario, run.case)
+
+
+def test_an_obstacle_moves_along_its_path_and_is_met_when_it_arrives(paper_run):
+    run = paper_run(1)
+    path = {"kind": "line", "start": [6.0, 0.7], "end": [-2.0, 0.7], "duration": 8.0, "delay": 1.0}
+    moving = Obstacle.parse({"path": path, "radius": 0.1}, "a test")
+    scenario = run.scenario.model_copy(update={"obstacles": (moving,)})
+    rollout = prepare(run.controller, scenario, run.case).in_c()
+    x = np.clip(6.0 - (rollout.t - 1.0), -2.0, 6.0)
+    # one multiplication and one addition of numbers below 10 m
+    expected = np.column_stack([x, np.full(len(x), 0.7)])
+    np.testing.assert_allclose(rollout.obstacle_center[:, 0], expected, rtol=0, atol=4e-15)
+    np.testing.assert_allclose(
+        rollout.signals["distance"][:, 5],
+        np.linalg.norm(expected - rollout.position, axis=1) - 0.1,
+        rtol=0,
+        atol=2e-14,  # ten such operations
+    )
+    assert rollout.active.any()
+    assert not rollout.active[:150].any()
