@@ -74,16 +74,9 @@ def _bounds(loop: Loop, gain: float, cutoff: float) -> Plate:
     for name, values in curves.items():
         if "more" in name:
             axes.plot(1e3 * periods, values, color=QUIET, lw=0.9, ls=":")
-            axes.annotate(
-                f"no filter, {name} of delay",
-                (1e3 * periods[4], values[4]),
-                (0, 0),
-                textcoords="offset points",
-                color=QUIET,
-                fontsize=8,
-                va="center",
-                backgroundcolor="white",
-            )
+            place = (1e3 * periods[-1], values[-1])
+            axes.annotate(f"+{name.split()[0]}", place, (4, 0), textcoords="offset points", color=QUIET, va="center")
+    axes.plot([], [], color=QUIET, lw=0.9, ls=":", label="no filter, +1, +2, +5 samples of delay")
     axes.plot(1e3 * loop.period, gain, "o", color=ERROR, zorder=5)
     axes.annotate(
         f"this controller: K = {gain:g}/s, T = {1e3 * loop.period:g} ms",
@@ -118,9 +111,7 @@ def _loci(loop: Loop, gain: float) -> Plate:
         here = _poles(one, gain)
         axes.plot(here.real, here.imag, "o", color=ERROR, ms=6, zorder=6)
         radius = np.max(np.abs(here))
-        axes.set_title(
-            f"{reading}: K < {bound:.4g}/s, |z| = {radius:.3f} at K = {gain:g}/s", loc="left", fontsize=9
-        )
+        axes.set_title(f"{reading}: K < {bound:.4g}/s, |z| = {radius:.3f} at K = {gain:g}/s", loc="left", fontsize=9)
         axes.set_xlabel("Re z")
         data[f"{reading}: K [1/s]"] = gains
         for i in range(poles.shape[1]):

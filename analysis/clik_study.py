@@ -1,11 +1,14 @@
 """`clikgen analyse clik`: how far the gain may go, linear and certified, predicted and measured."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
+from clikgen.analysis.certificate import Certificate, certify
+from clikgen.analysis.certificate_figures import certificate_figures
 from clikgen.analysis.clik_figures import bound_curves, clik_plates
 from clikgen.analysis.clik_loop import (
     READINGS,
@@ -17,56 +20,196 @@ from clikgen.analysis.clik_loop import (
     ramp_lag,
 )
 from clikgen.analysis.discrete_filter import beta_of
+from clikgen.analysis.plates import Plate
+from clikgen.analysis.stability_map import Progress, StabilityMap, stability_map
 from clikgen.analysis.study import Study, Table
+from clikgen.runtime.controller import CompiledController
 from clikgen.runtime.documents import BadInput
-from clikgen.runtime.simulation import Run
+from clikgen.runtime.scenario import CASES, Scenario
+from clikgen.runtime.simulation import Run, prepare
 
 PERIODS = (0.0005, 0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1)  # [s] of the table
+GRID = 28  # sampling times, and gains, of the measured map
 
 
-def clik_study(run: Run, delay: int = 0, servo: float = 0.0) -> Study:
-    """The linear loop of a run's tracking task with `delay` [samples] of transport and servo lag [s].
+def clik_study(
+    controller: CompiledController,
+    scenario: Scenario,
+    source: str = "scenario",
+    delay: int = 0,
+    servo: float = 0.0,
+    progress: Progress | None = None,
+) -> Study:
+    """The loop of a scenario's tracking task: linear with `delay` [samples] and servo lag [s], certified, measured.
 
     Gains are the eigenvalues of K_g, one scalar loop each; the largest is the one that matters for stability,
-    the smallest for lag. Raises BadInput for a run without a tracking task.
+    the smallest for lag. `progress` is told of the measurement, the longest part. Raises BadInput for a scenario
+    that does not fit, without a tracking task, or through a singular Jacobian.
     """
-    slowest, fastest, cutoff = _gains_and_cutoff(run)
-    loop = Loop("A", run.period, beta_of(cutoff, run.period), delay, servo)
-    plain = replace(loop, beta=1.0)
-    document: dict[str, Any] = {
-        "controller": run.controller.manifest.controller,
-        "spec_sha256": run.controller.manifest.spec_sha256,
-        "scenario": run.scenario.name,
-        "period": run.period,
-        "f_c": cutoff,
-        "beta": loop.beta,
-        "delay": delay,
-        "servo": servo,
-        "gain_min": slowest,
-        "gain_max": fastest,
-        "loops": {
-            "no filter": _figures_of(plain, slowest, fastest),
-            **{reading: _figures_of(replace(loop, reading=reading), slowest, fastest) for reading in READINGS},
-        },
-    }
+    runs = {number: prepare(controller, scenario, CASES[number], source) for number in (1, 2)}
+    slowest, fastest, cutoff = _gains_and_cutoff(runs[1])
+    period = runs[1].period
+    loop = Loop("A", period, beta_of(cutoff, period), delay, servo)
+    document = _linear(loop, slowest, fastest, cutoff)
     curves = bound_curves(loop, cutoff, np.asarray(PERIODS))
-    document["bound_over_period"] = {
-        "T": list(PERIODS),
-        **{name: list(map(float, k)) for name, k in curves.items()},
+    document["bound_over_period"] = {"T": list(PERIODS), **{name: k.tolist() for name, k in curves.items()}}
+    certificates, singular = _certificates(controller, runs)
+    found = stability_map(
+        controller,
+        scenario,
+        np.geomspace(1e-3, 0.5, GRID).tolist(),
+        np.geomspace(min(1.0, slowest / 2), 1e3, GRID).tolist(),
+        bounds=certificates["no filter, along the scenario" if singular else "no filter, within the limits"].bounds,
+        progress=progress,
+    )
+    document |= {
+        "controller": controller.manifest.controller,
+        "spec_sha256": controller.manifest.spec_sha256,
+        "scenario": scenario.name,
+        "certificates": {name: certified.as_dict() for name, certified in certificates.items()},
+        "measured_boundary": {
+            "no filter": [asdict(point) for point in found.boundary],
+            "A": [asdict(point) for point in found.filtered_boundary],
+        },
     }
     rows = [[f"{1e3 * T:g}", *(_plain(values[i]) for values in curves.values())] for i, T in enumerate(PERIODS)]
     return Study(
-        title=f"CLIK loop of {run.scenario.name} on {run.controller.manifest.controller}",
-        verdicts=_verdicts(document),
-        tables=[_loop_table(document), Table("Largest stable gain [1/s]", ["T [ms]", *curves], rows)],
-        plates=clik_plates(loop, fastest, cutoff),
+        title=f"CLIK loop of {scenario.name} on {controller.manifest.controller}",
+        verdicts=[*_verdicts(document), *_certified_words(certificates), *singular, _measured_words(found)],
+        tables=[
+            _loop_table(document),
+            Table("Largest stable gain [1/s]", ["T [ms]", *curves], rows),
+            _certificate_table(certificates),
+            _boundary_table(found),
+        ],
+        plates=[*clik_plates(loop, fastest, cutoff), *_map_plates(found)],
         assumptions=[
             "Linear loop near a regular configuration, where J J⁺ = I: one scalar loop per eigenvalue of K_g.",
-            f"Transport delay {delay} samples, first-order velocity servo with lag {1e3 * servo:g} ms.",
-            "The least f_c of all joints; feedforward is the exact velocity of the reference.",
+            f"Transport delay {delay} samples, first-order velocity servo with lag {1e3 * servo:g} ms; certificate "
+            "and measurement have neither.",
+            "The least f_c of all joints in the linear loop; feedforward is the velocity of the reference at t_k.",
+            "The certificate holds while no task above the tracking task acts. Bounds said to be estimates are the "
+            "worst of many samples and of local searches from there; the others are closed forms.",
+            "Measured: rollouts of the compiled step, obstacles left out of the tracking maps.",
         ],
         document=document,
     )
+
+
+def _linear(loop: Loop, slowest: float, fastest: float, cutoff: float) -> dict[str, Any]:
+    """The linear loops' part of the document."""
+    return {
+        "period": loop.period,
+        "f_c": cutoff,
+        "beta": loop.beta,
+        "delay": loop.delay,
+        "servo": loop.servo,
+        "gain_min": slowest,
+        "gain_max": fastest,
+        "loops": {
+            "no filter": _figures_of(replace(loop, beta=1.0), slowest, fastest),
+            **{reading: _figures_of(replace(loop, reading=reading), slowest, fastest) for reading in READINGS},
+        },
+    }
+
+
+def _certificates(controller: CompiledController, runs: Mapping[int, Run]) -> tuple[dict[str, Certificate], list[str]]:
+    """Certificates with and without filter within the joint limits, and why if one cannot be.
+
+    Along the run too where that says more: where the bounds within the limits are estimates, or J is singular.
+    """
+    found: dict[str, Certificate] = {}
+    singular: list[str] = []
+    for number, name in ((1, "no filter"), (2, "A")):
+        rollout = runs[number].in_c()
+        try:
+            found[f"{name}, within the limits"] = certify(controller, rollout, "limits")
+        except BadInput as error:
+            singular = [f"No certificate within the joint limits: {error}."]
+        if singular or not found[f"{name}, within the limits"].bounds.exact:
+            found[f"{name}, along the scenario"] = certify(controller, rollout, "rollout")
+    return found, singular
+
+
+def _certificate_table(certificates: Mapping[str, Certificate]) -> Table:
+    """A certificate a column, a figure a row."""
+
+    def row(name: str, figure: Callable[[Certificate], float | None]) -> list[str]:
+        values = [figure(certified) for certified in certificates.values()]
+        return [name, *("none" if value is None or not np.isfinite(value) else f"{value:.4g}" for value in values)]
+
+    rows = [
+        row("σ_min of J", lambda c: c.bounds.sigma_min),
+        row("L, bound of the Hessian", lambda c: c.bounds.hessian),
+        ["bounds", *("closed forms" if c.bounds.exact else "estimates" for c in certificates.values())],
+        row("v [m/s]", lambda c: c.motion.speed),
+        row("a [m/s²]", lambda c: c.motion.acceleration),
+        row("ultimate error e− [m]", lambda c: c.e_minus),
+        row("from errors below e+ [m]", lambda c: c.e_plus),
+        row("largest certified T [s]", lambda c: c.largest_period),
+        row("largest certified K [1/s]", lambda c: c.largest_gain),
+        row("T beyond any gain [s]", lambda c: c.period_limit),
+    ]
+    return Table("Nonlinear certificate", ["", *certificates], rows)
+
+
+def _certified_words(certificates: Mapping[str, Certificate]) -> list[str]:
+    words = []
+    for name, certified in certificates.items():
+        kind = "certified" if certified.bounds.exact else "estimated (bounds by sampling)"
+        filtered = "with the filter" if name.startswith("A") else "without the filter"
+        where = certified.bounds.where
+        if certified.e_minus is None:
+            words.append(f"{where.capitalize()}, {filtered}: no error ball is certified at this T and K.")
+        else:
+            words.append(
+                f"{where.capitalize()}, {filtered}: the tracking error is {kind} to end below "
+                f"{certified.e_minus:.3g} m; T may grow to {certified.largest_period:.3g} s "
+                f"or K to {certified.largest_gain:.4g}/s."
+            )
+    return words
+
+
+def _measured_words(found: StabilityMap) -> str:
+    worst = max(abs(point.deviation) for point in (*found.boundary, *found.filtered_boundary))
+    count = 2 * found.tracking.largest.size
+    return (
+        f"Measured with the compiled step: the stability boundary lies within {100 * worst:.2g} % of the linear bound "
+        f"at {len(found.boundary)} sampling times with and without filter; tracking errors from {count} rollouts."
+    )
+
+
+def _boundary_table(found: StabilityMap) -> Table:
+    pairs = list(zip(found.boundary, found.filtered_boundary, strict=True))[:: max(1, GRID // 8)]
+    rows = [
+        [
+            f"{1e3 * plain.period:.4g}",
+            *(text for p in (plain, filtered) for text in (_plain(p.linear), _plain(p.gain), f"{p.deviation:+.1e}")),
+        ]
+        for plain, filtered in pairs
+    ]
+    columns = ["T [ms]", "2/T", "measured", "off by", "2/(βT)", "measured", "off by"]
+    return Table("Stability boundary K [1/s]: linear and measured, without and with the filter", columns, rows)
+
+
+def _map_plates(found: StabilityMap) -> list[Plate]:
+    """The figures of certificate_figures with their data, a row per sampling time and gain."""
+    figures = certificate_figures(found)
+    T, K = np.meshgrid(found.tracking.periods, found.tracking.gains, indexing="ij")
+    data: dict[str, NDArray[np.floating]] = {"T [s]": T.ravel(), "K [1/s]": K.ravel()}
+    for name, tracking in (("no filter", found.tracking), ("filter", found.filtered_tracking)):
+        data |= {
+            f"{name}: measured largest error [m]": tracking.largest.ravel(),
+            f"{name}: certified e- [m]": tracking.ultimate.ravel(),
+            f"{name}: certified K below [1/s]": np.repeat(tracking.certified, tracking.gains.size),
+        }
+    captions = {
+        "stability_map": "Colour: the largest tracking error measured with the compiled step. Dots: where it stops "
+        "being stable, measured. Lines: the linear bound, and below what gain the nonlinear certificate holds.",
+        "tracking_error": "The largest tracking error against the sampling time, measured with the compiled step, "
+        "beside the certified ball e− and the ramp lag that the filter causes.",
+    }
+    return [Plate(f"clik_{name}", captions[name], figure, data) for name, figure in figures.items()]
 
 
 def _gains_and_cutoff(run: Run) -> tuple[float, float, float]:
@@ -119,9 +262,7 @@ def _verdicts(document: dict[str, Any]) -> list[str]:
 
     def stability(loop: dict[str, Any]) -> str:
         share = K / loop["gain_bound"]
-        return (
-            "unstable" if share >= 1 else f"stable, at {100 * share:.3g} % of its bound {loop['gain_bound']:.4g}/s"
-        )
+        return "unstable" if share >= 1 else f"stable, at {100 * share:.3g} % of its bound {loop['gain_bound']:.4g}/s"
 
     return [
         f"K = {K:g}/s at T = {1e3 * document['period']:g} ms is {stability(plain)} without the filter, and "

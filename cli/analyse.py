@@ -7,7 +7,8 @@ import typer
 
 if TYPE_CHECKING:
     from clikgen.analysis.study import Study
-    from clikgen.runtime.simulation import Run
+    from clikgen.runtime.controller import CompiledController
+    from clikgen.runtime.scenario import Scenario
 
 app = typer.Typer(help="Choose T, K and f_c from evidence.", no_args_is_help=True)
 
@@ -55,24 +56,27 @@ def clik_command(
     from clikgen.analysis.clik_study import clik_study
     from clikgen.cli.terminal import progress_bar
 
-    run = _run(scenario, settings)
+    controller, wanted, source = _scenario(scenario, settings)
     with progress_bar() as progress:
-        progress.add_task("analysing the loop", total=None)
-        study = clik_study(run, delay, servo)
+        task = progress.add_task("measuring compiled rollouts", total=None)
+
+        def advance(done: int, total: int) -> None:
+            progress.update(task, completed=done, total=total)
+
+        study = clik_study(controller, wanted, source, delay, servo, advance)
     return _deliver(study, out, as_json)
 
 
-def _run(scenario: str, settings: list[str] | None, case: int = 1) -> "Run":
-    """A case of a scenario, ready to run."""
+def _scenario(name: str, settings: list[str] | None) -> "tuple[CompiledController, Scenario, str]":
+    """A scenario, its compiled controller, and the file it is from."""
     from clikgen.cli.freshness import demand_fresh
     from clikgen.runtime.controller import CompiledController
-    from clikgen.runtime.scenario import CASES, find_scenario, read_scenario
-    from clikgen.runtime.simulation import prepare
+    from clikgen.runtime.scenario import find_scenario, read_scenario
 
-    path = find_scenario(scenario)
+    path = find_scenario(name)
     wanted = read_scenario(path, settings or [])
     demand_fresh(wanted.controller)
-    return prepare(CompiledController.load(wanted.controller), wanted, CASES[case], str(path))
+    return CompiledController.load(wanted.controller), wanted, str(path)
 
 
 def _deliver(study: "Study", out: Path | None, as_json: bool) -> int:
