@@ -72,9 +72,7 @@ class _Panel:
             colours = [CONTACT if touched else REGION for touched in self.contact[frame]]
             self.regions.set_facecolor([to_rgba(colour, 0.35) for colour in colours])
             self.regions.set_edgecolor(colours)
-        self.obstacles.set_verts(
-            list(drawing.discs(self.rollout.obstacle_center[k], self.rollout.obstacle_radius))
-        )
+        self.obstacles.set_verts(list(drawing.discs(self.rollout.obstacle_center[k], self.rollout.obstacle_radius)))
         self.trace.set_data(*self.rollout.position[: k + 1, :2].T)
         self.target.set_data(*self.rollout.reference[[k], :2].T)
         for curtain in self.curtains:

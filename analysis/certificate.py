@@ -130,9 +130,7 @@ def _singular_values(J: Array) -> Array:
 def hessians(controller: CompiledController, q: Array) -> Array:
     """∂²f_i/∂q_j∂q_k at q (N, n) by central differences of the compiled Jacobian, shape (N, m, n, n)."""
     offsets = DIFFERENCE * np.eye(q.shape[1])
-    ahead, behind = (
-        jacobians(controller, (q[:, None] + side * offsets).reshape(-1, q.shape[1])) for side in (1, -1)
-    )
+    ahead, behind = (jacobians(controller, (q[:, None] + side * offsets).reshape(-1, q.shape[1])) for side in (1, -1))
     slope = ((ahead - behind) / (2 * DIFFERENCE)).reshape(*q.shape, *ahead.shape[1:])  # (N, k, m, j)
     second = slope.transpose(0, 2, 3, 1)
     return np.asarray((second + second.swapaxes(2, 3)) / 2)
@@ -600,9 +598,7 @@ def reference_motion(position: Array, velocity: Array, period: float) -> Motion:
     )
 
 
-def _lower_tasks(
-    controller: CompiledController, rollout: Rollout, task: str, velocity: Array
-) -> tuple[float, float]:
+def _lower_tasks(controller: CompiledController, rollout: Rollout, task: str, velocity: Array) -> tuple[float, float]:
     """The largest joint velocity in the null space of J, and J times the largest in its rows, of lower tasks."""
     free = ~rollout.active
     if rollout.manifest.tasks[-1].name == task or not free.any():

@@ -82,9 +82,7 @@ def _draw_bounds(axes: Axes, tracking: TrackingMap, points: Sequence[BoundaryPoi
     limit = tracking.periods[tracking.certified > 0]
     if limit.size < len(tracking.periods) and limit.size:
         axes.axvline(float(limit[-1]), color=LAM, linestyle=":", linewidth=1.0)
-    axes.set(
-        xscale="log", yscale="log", xlim=_span(tracking.periods), ylim=(low, high), xlabel="sampling time $T$ [s]"
-    )
+    axes.set(xscale="log", yscale="log", xlim=_span(tracking.periods), ylim=(low, high), xlabel="sampling time $T$ [s]")
 
 
 def _span(values: Array) -> tuple[float, float]:
@@ -106,9 +104,7 @@ def _tracking_error(found: StabilityMap) -> Figure:
     left.set(title="without filter", ylabel="tracking error [m]")
     right.set(title="with filter, always on")
     _title(figure, f"Largest tracking error of {_names(found)}: measured and predicted")
-    colours = [
-        Line2D([], [], color=colour, label=f"$K$ = {gain:.3g}/s") for gain, colour in _gains(found.tracking)
-    ]
+    colours = [Line2D([], [], color=colour, label=f"$K$ = {gain:.3g}/s") for gain, colour in _gains(found.tracking)]
     kinds = [
         Line2D([], [], color=QUIET, marker="o", markersize=4, linestyle="none", label="measured"),
         Line2D([], [], color=QUIET, linestyle="--", label="certified: $e_-$"),

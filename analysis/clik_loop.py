@@ -122,9 +122,7 @@ def gain_bound(loop: Loop) -> float:
     candidates = sorted(_crossing_gains(loop))
     for gain in candidates:
         if pole_radius(loop, gain * (1 + 1e-3)) > 1 > pole_radius(loop, gain * (1 - 1e-3)):
-            return float(
-                brentq(lambda k: pole_radius(loop, k) - 1, gain * (1 - 1e-3), gain * (1 + 1e-3), rtol=1e-13)
-            )
+            return float(brentq(lambda k: pole_radius(loop, k) - 1, gain * (1 - 1e-3), gain * (1 + 1e-3), rtol=1e-13))
     raise AssertionError(f"no stability boundary for {loop} among {candidates}")
 
 
@@ -133,9 +131,7 @@ def _crossing_gains(loop: Loop) -> list[float]:
     numerator, denominator = loop.open_loop()
     order = len(denominator) - 1
     numerator = np.pad(numerator, (0, order + 1 - len(numerator)))
-    real_there = poly.polysub(
-        poly.polymul(numerator, denominator[::-1]), poly.polymul(numerator[::-1], denominator)
-    )
+    real_there = poly.polysub(poly.polymul(numerator, denominator[::-1]), poly.polymul(numerator[::-1], denominator))
     roots = poly.polyroots(np.trim_zeros(real_there, "b"))
     on_circle = [z / abs(z) for z in roots if abs(abs(z) - 1) < 1e-3 and z.imag >= 0]
     gains = []

@@ -91,9 +91,7 @@ def beta_for(cutoff: float, period: float) -> float:
     """
     omega = 2 * np.pi * cutoff * period
     if not 0 < omega <= np.pi:
-        raise BadInput(
-            f"wanted a cut-off above 0 and up to the Nyquist frequency {0.5 / period:g} Hz, got {cutoff:g}"
-        )
+        raise BadInput(f"wanted a cut-off above 0 and up to the Nyquist frequency {0.5 / period:g} Hz, got {cutoff:g}")
     y = 2 * np.sin(omega / 2) ** 2
     return float(-y + np.sqrt(y * y + 2 * y))
 
@@ -154,9 +152,7 @@ class MeasuredResponse:
 Excitation = Literal["noise", "swept sine"]
 
 
-def shipped_beta(
-    controller: CompiledController, cutoff: float | None = None, period: float | None = None
-) -> Array:
+def shipped_beta(controller: CompiledController, cutoff: float | None = None, period: float | None = None) -> Array:
     """β of every joint as the compiled step applies it, (n,): its q̇ with the filter over its q̇ without.
 
     With λ = 1, q_next − q = β T q̇_law in each joint. `cutoff` [Hz] and `period` [s] are the manifest's defaults

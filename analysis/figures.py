@@ -292,9 +292,7 @@ def _joint_positions(figure: Figure, grid: GridSpec, row: int, rollout: Rollout,
     beside.legend(handles=entries, loc="center left", title=f"{kind} joints", alignment="left", ncols=columns)
 
 
-def _joint_velocities(
-    figure: Figure, grid: GridSpec, row: int, rollout: Rollout, kind: str, shared: _Shared
-) -> None:
+def _joint_velocities(figure: Figure, grid: GridSpec, row: int, rollout: Rollout, kind: str, shared: _Shared) -> None:
     """One row: velocities of the joints of a kind, over the whole run and in the window of contact."""
     last = row == grid.nrows - 1
     axes, zoom = figure.add_subplot(grid[row, 0]), figure.add_subplot(grid[row, 1])
@@ -418,9 +416,7 @@ def _overview(rollouts: Mapping[int, Rollout], shared: _Shared) -> Figure:
                 axes.set_ylabel("")
                 axes.tick_params(labelleft=False)
     velocities = [_joint_entry(first, i, "velocity of ") for i in joints]
-    _legend(
-        figure, [_COMMANDED, _TRACED, *_obstacle_entries(first), *velocities, *_contact_entries(rollouts.values())]
-    )
+    _legend(figure, [_COMMANDED, _TRACED, *_obstacle_entries(first), *velocities, *_contact_entries(rollouts.values())])
     return figure
 
 
@@ -511,9 +507,7 @@ def _draw_commanded(axes: Axes, x: Array, y: Array) -> None:
     axes.plot(x, y, color=COMMANDED, linestyle=_DASHED, linewidth=1.1, zorder=5)
 
 
-def _draw_samples(
-    axes: Axes, rollout: Rollout, values: Array, window: slice, colour: str, held: bool = True
-) -> None:
+def _draw_samples(axes: Axes, rollout: Rollout, values: Array, window: slice, colour: str, held: bool = True) -> None:
     """Every sample of a window as a dot; `held` draws it as constant over its period, as a velocity is."""
     style: Literal["steps-post", "default"] = "steps-post" if held else "default"
     t = rollout.t[window]

@@ -66,9 +66,7 @@ def _bode(beta: float, period: float, measured: Sequence[MeasuredResponse]) -> P
     gain.set(ylabel="gain [dB]", ylim=(_db(noise_gain(beta)) - 12, 3), xscale="log", xlim=(f[0], nyquist))
     lag.set(ylabel="phase [deg]", ylim=(-95, 5), yticks=range(-90, 1, 30))
     delay.set(ylabel="group delay [ms]", xlabel="frequency [Hz]")
-    figure.suptitle(
-        f"Filter: β = {beta:.4g} (f_c = {cutoff:.4g} Hz at T = {1e3 * period:g} ms)", x=0.01, ha="left"
-    )
+    figure.suptitle(f"Filter: β = {beta:.4g} (f_c = {cutoff:.4g} Hz at T = {1e3 * period:g} ms)", x=0.01, ha="left")
     figure.legend(loc="outside lower center", ncols=3)
     data = {
         "frequency [Hz]": f,

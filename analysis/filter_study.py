@@ -34,9 +34,7 @@ def filter_study(
     `design` [Hz] is a wanted true −3 dB frequency, for which β and the f_c to write are given. Raises BadInput
     for values outside the manifest's limits or a design beyond the Nyquist frequency.
     """
-    measured = [
-        measure_response(controller, 0, cutoff, period, excitation=kind) for kind in ("noise", "swept sine")
-    ]
+    measured = [measure_response(controller, 0, cutoff, period, excitation=kind) for kind in ("noise", "swept sine")]
     beta, T = measured[0].beta, measured[0].period
     f_c, end = cutoff_of(beta, T), minus_3_db(beta)
     hertz = None if end is None else end / (2 * np.pi * T)

@@ -98,9 +98,7 @@ def hf_rms(velocity: Array, period: float, f_h: float) -> Array:
 def reversals(velocity: Array, dead_band: float) -> int:
     """Turning points of the columns of `velocity` (N, n) whose prominence is `dead_band` or more, added up."""
     return sum(
-        find_peaks(side * column, prominence=max(dead_band, 1e-12))[0].size
-        for column in velocity.T
-        for side in (1, -1)
+        find_peaks(side * column, prominence=max(dead_band, 1e-12))[0].size for column in velocity.T for side in (1, -1)
     )
 
 

@@ -26,9 +26,7 @@ class Plate:
     data: Columns
 
 
-def save_plates(
-    plates: Sequence[Plate], folder: Path, progress: Callable[[str], None] = drawing.ignore
-) -> list[Path]:
+def save_plates(plates: Sequence[Plate], folder: Path, progress: Callable[[str], None] = drawing.ignore) -> list[Path]:
     """Write every plate to `folder` as NAME.png, NAME.svg and NAME.csv; raises BadInput when it cannot."""
     paths = save({plate.name: plate.figure for plate in plates}, folder, ("png", "svg"), progress)
     for plate in plates:

@@ -76,8 +76,7 @@ def boundary(
     """
     step, name = controller.manifest.function("step"), controller.manifest.controller
     values = {
-        key: step.input(key).value(value, f"{name}: {key}")
-        for key, value in {**_defaults(step), **parameters}.items()
+        key: step.input(key).value(value, f"{name}: {key}") for key, value in {**_defaults(step), **parameters}.items()
     }
     place = regular_configuration(controller) if q is None else step.input("q").value(q, f"{name}: q")
     values |= {"q": place, "lam_free": np.array(1.0 if filtered else 0.0)}
@@ -90,9 +89,7 @@ def boundary(
 
 def _defaults(step: FunctionInfo) -> dict[str, Array]:
     return {
-        signal.name: np.reshape(signal.default, signal.shape)
-        for signal in step.inputs
-        if signal.role == "parameter"
+        signal.name: np.reshape(signal.default, signal.shape) for signal in step.inputs if signal.role == "parameter"
     }
 
 

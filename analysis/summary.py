@@ -47,8 +47,7 @@ def simulation_document(rollouts: Mapping[int, Rollout], timings: Mapping[int, T
             for number, rollout in rollouts.items()
         },
         "realtime": {
-            str(number): {"overruns": timing.overruns, **timing.percentiles()}
-            for number, timing in timings.items()
+            str(number): {"overruns": timing.overruns, **timing.percentiles()} for number, timing in timings.items()
         },
     }
 
@@ -58,12 +57,8 @@ def metrics_table(rollouts: Mapping[int, Rollout]) -> tuple[str, list[str], list
     first = next(iter(rollouts.values()))
     measured = {number: metrics(rollout).as_dict() for number, rollout in rollouts.items()}
     heads = [f"case {number}: {rollout.case.title}" for number, rollout in rollouts.items()]
-    rows = [
-        [name, *(_figure(measured[number][name]) for number in rollouts), unit] for name, unit in UNITS.items()
-    ]
-    rows.append(
-        ["outside limits", *(", ".join(outside_limits(rollout)) or "-" for rollout in rollouts.values()), ""]
-    )
+    rows = [[name, *(_figure(measured[number][name]) for number in rollouts), unit] for name, unit in UNITS.items()]
+    rows.append(["outside limits", *(", ".join(outside_limits(rollout)) or "-" for rollout in rollouts.values()), ""])
     title = (
         f"{first.scenario.name} on {first.manifest.controller}: {len(first.t)} steps of {first.period:g} s, "
         f"f_h = {first.scenario.metrics.f_h:g} Hz"

@@ -67,6 +67,60 @@ def clik_command(
     return _deliver(study, out, as_json)
 
 
+@app.command("chatter")
+def chatter_command(
+    scenario: Annotated[str, typer.Argument(help="A scenario that ships, or a .toml file.")],
+    settings: Settings = None,
+    out: Out = None,
+    as_json: AsJson = False,
+) -> int:
+    """Chatter of cases 1-3: regime, period, amplitude, predicted and measured; sticking."""
+    from clikgen.analysis.chatter_study import chatter_study
+    from clikgen.cli.terminal import progress_bar
+
+    controller, wanted, source = _scenario(scenario, settings)
+    with progress_bar() as progress:
+        progress.add_task("predicting and measuring chatter", total=None)
+        study = chatter_study(controller, wanted, source)
+    return _deliver(study, out, as_json)
+
+
+@app.command("report")
+def report_command(
+    scenario: Annotated[str, typer.Argument(help="A scenario that ships, or a .toml file.")],
+    settings: Settings = None,
+    out: Annotated[Path, typer.Option(help="Folder for report.html, figures and data.")] = Path("report"),
+    as_json: AsJson = False,
+) -> int:
+    """One self-contained HTML page: simulation, filter, CLIK loop and chatter of a scenario."""
+    from clikgen.analysis.plates import save_plates
+    from clikgen.analysis.report import html_report, scenario_studies
+    from clikgen.cli.terminal import messages, print_json, progress_bar
+    from clikgen.runtime.documents import json_text, make_folder, write_atomically
+
+    controller, wanted, source = _scenario(scenario, settings)
+    make_folder(out)
+    with progress_bar() as progress:
+        task = progress.add_task("studying", total=None)
+
+        def say(what: str) -> None:
+            progress.update(task, description=what)
+
+        studies = scenario_studies(controller, wanted, source, say)
+        page = html_report(
+            f"{wanted.name} on {wanted.controller}", wanted.description, studies, controller.manifest, say
+        )
+        write_atomically(out / "report.html", page.encode())
+        document = {study.title: dict(study.document) for study in studies}
+        write_atomically(out / "report.json", json_text(document).encode())
+        for study in studies:
+            save_plates(study.plates, out, say)
+    if as_json:
+        print_json(document)
+    messages.print(f"wrote {out / 'report.html'} ({len(page) / 1e6:.1f} MB), report.json, figures and their data")
+    return 0
+
+
 def _scenario(name: str, settings: list[str] | None) -> "tuple[CompiledController, Scenario, str]":
     """A scenario, its compiled controller, and the file it is from."""
     from clikgen.cli.freshness import demand_fresh

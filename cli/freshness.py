@@ -27,6 +27,4 @@ def is_stale(controller: str) -> bool:
 def demand_fresh(controller: str) -> None:
     """Raises BadInput when the generated code is not what its spec says."""
     if is_stale(controller):
-        raise BadInput(
-            f"{find_controller(controller)}: stale, {spec_of(controller)} changed; run 'clikgen generate'"
-        )
+        raise BadInput(f"{find_controller(controller)}: stale, {spec_of(controller)} changed; run 'clikgen generate'")

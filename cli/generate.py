@@ -10,9 +10,7 @@ def command(
     specs: Annotated[
         list[Path] | None, typer.Argument(metavar="[SPEC]...", help="Spec files; default: those that ship.")
     ] = None,
-    check: Annotated[
-        bool, typer.Option("--check", help="Write nothing; print a diff and exit 1 when stale.")
-    ] = False,
+    check: Annotated[bool, typer.Option("--check", help="Write nothing; print a diff and exit 1 when stale.")] = False,
     schema: Annotated[bool, typer.Option("--schema", help="Print the JSON schema of a spec file.")] = False,
     out: Annotated[
         Path | None,

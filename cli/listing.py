@@ -13,9 +13,7 @@ def command(as_json: Annotated[bool, typer.Option("--json", help="One JSON docum
     from clikgen.runtime.manifest import load_manifest
     from clikgen.runtime.scenario import read_scenario, shipped_scenarios
 
-    names = sorted(
-        {path.parent.name for folder in controller_folders() for path in folder.glob("*/manifest.json")}
-    )
+    names = sorted({path.parent.name for folder in controller_folders() for path in folder.glob("*/manifest.json")})
     controllers: list[dict[str, Any]] = []
     for name in names:
         folder = find_controller(name)

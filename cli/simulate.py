@@ -37,9 +37,7 @@ def command(
     wanted = read_scenario(path, settings or [])
     demand_fresh(wanted.controller)
     controller = CompiledController.load(wanted.controller)
-    runs = {
-        number: prepare(controller, wanted, CASES[number], str(path)) for number in ([case] if case else CASES)
-    }
+    runs = {number: prepare(controller, wanted, CASES[number], str(path)) for number in ([case] if case else CASES)}
     rollouts, timings = {}, {}
     with progress_bar() as progress:
         for number, run in progress.track(runs.items(), description="simulating", total=len(runs)):

@@ -70,8 +70,7 @@ def find_compiler() -> Compiler:
     compilers = available_compilers()
     if not compilers:
         raise BadInput(
-            "no C compiler: wanted $CC, cc, gcc or clang on the PATH, or the PyPI package 'clikgen[zig]', "
-            "found none"
+            "no C compiler: wanted $CC, cc, gcc or clang on the PATH, or the PyPI package 'clikgen[zig]', found none"
         )
     return compilers[0]
 

@@ -167,9 +167,7 @@ class CompiledController:
             step(k)
         return signals
 
-    def stepper(
-        self, steps: int, values: Mapping[str, ArrayLike]
-    ) -> tuple[dict[str, Array], Callable[[int], None]]:
+    def stepper(self, steps: int, values: Mapping[str, ArrayLike]) -> tuple[dict[str, Array], Callable[[int], None]]:
         """The arrays `rollout` would return, still empty, and the function that fills in period k.
 
         Call it for k = 0 .. steps−1 in this order: each period goes on from the state before.
@@ -191,9 +189,7 @@ class CompiledController:
 
         return self._named(inputs, outputs), step
 
-    def _rollout_arrays(
-        self, steps: int, values: Mapping[str, ArrayLike]
-    ) -> tuple[dict[str, Array], dict[str, Array]]:
+    def _rollout_arrays(self, steps: int, values: Mapping[str, ArrayLike]) -> tuple[dict[str, Array], dict[str, Array]]:
         """Arrays for every input and output; a state is one array, its output a view one period further."""
         info = self.step.info
         fed = {signal.feeds: signal.name for signal in info.outputs if signal.feeds}
@@ -202,9 +198,7 @@ class CompiledController:
         for state, output in fed.items():
             start = inputs[state]
             if start.shape != info.input(state).shape:
-                raise ValueError(
-                    f"{state} is a state: it must have shape {info.input(state).shape}, got {start.shape}"
-                )
+                raise ValueError(f"{state} is a state: it must have shape {info.input(state).shape}, got {start.shape}")
             history = np.empty((steps + 1, *start.shape))
             history[0] = start
             inputs[state], outputs[output] = history, history[1:]
@@ -236,9 +230,7 @@ def find_controller(name_or_folder: str | Path) -> Path:
     """
     given = Path(name_or_folder)
     candidates = (
-        [given]
-        if given.is_absolute() or len(given.parts) > 1
-        else [folder / given for folder in controller_folders()]
+        [given] if given.is_absolute() or len(given.parts) > 1 else [folder / given for folder in controller_folders()]
     )
     for folder in candidates:
         if (folder / "manifest.json").is_file():

@@ -96,9 +96,7 @@ class FunctionInfo(Document):
         for signal in self.inputs:
             if signal.name == name:
                 return signal
-        raise BadInput(
-            f"{self.symbol}: no input '{name}'; {choices(name, (signal.name for signal in self.inputs))}"
-        )
+        raise BadInput(f"{self.symbol}: no input '{name}'; {choices(name, (signal.name for signal in self.inputs))}")
 
 
 class JointInfo(Document):

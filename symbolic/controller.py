@@ -132,9 +132,7 @@ def _function(
     """The function of the state and the inputs it depends on, common subexpressions shared; raises BadInput."""
     columns = [signal.column for signal in outputs]
     together = ca.vertcat(*columns)
-    used = tuple(
-        signal for signal in inputs if signal.info.role == "state" or ca.depends_on(together, signal.column)
-    )
+    used = tuple(signal for signal in inputs if signal.info.role == "state" or ca.depends_on(together, signal.column))
     names = [signal.info.name for signal in (*used, *outputs)]
     for signal_name in names:
         if names.count(signal_name) > 1:

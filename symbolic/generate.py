@@ -76,8 +76,7 @@ def _manifest(controller: Controller, functions: Iterable[FunctionInfo], sources
             for joint in spec.robot.joints
         ),
         points=tuple(
-            PointInfo(name=point.name, link=point.link, offset=point.offset)
-            for point in spec.robot.points_of_interest
+            PointInfo(name=point.name, link=point.link, offset=point.offset) for point in spec.robot.points_of_interest
         ),
         obstacles=spec.obstacles.maximum,
         tasks=tuple(

@@ -22,9 +22,7 @@ class Planner(Document):
 
     def build(self, q_filtered: ca.SX, q_raw: ca.SX, event: ca.SX) -> tuple[ca.SX, ca.SX, tuple[Signal, ...]]:
         """q_i = A_λ q_filtered,i + (I − A_λ) q_i, eq. 17, shape (n, 1); then λ; then the inputs they need."""
-        free = symbol(
-            "lam_free", (), "1", "λ while no region meets an obstacle", "parameter", (0, 1), self.lam_free
-        )
+        free = symbol("lam_free", (), "1", "λ while no region meets an obstacle", "parameter", (0, 1), self.lam_free)
         at_event = symbol("lam_event", (), "1", "λ while one does (eq. 18)", "parameter", (0, 1), self.lam_event)
         lam = ca.if_else(event, at_event.expression, free.expression)
         return lam * q_filtered + (1 - lam) * q_raw, lam, (free, at_event)

@@ -28,8 +28,7 @@ else:  # the kinds are the files of a folder, so pydantic learns them when it st
 
     AnyTask = _one_of(task_kinds().values())
     AnyFilter = _one_of(
-        import_module(f"{filters.__name__}.{module.name}").Spec
-        for module in pkgutil.iter_modules(filters.__path__)
+        import_module(f"{filters.__name__}.{module.name}").Spec for module in pkgutil.iter_modules(filters.__path__)
     )
 
 

@@ -2301,7 +2301,7 @@ void planar5_step_defaults(planar5_step_input *input) {
   static const planar5_step_input zero;
   *input = zero;
   input->obstacles_gain = 250.0;
-  input->obstacles_damping = 1e-06;
+  input->obstacles_damping = 1e-09;
   input->tool_gain[0][0] = 4.0;
   input->tool_gain[1][1] = 4.0;
   input->tool_damping = 0.001;

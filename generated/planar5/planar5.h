@@ -88,7 +88,7 @@ typedef struct planar5_step_input {
   double q[5];
   /* K_o (eq. 10) [1/s]; default 250; 0 to 1e+06 */
   double obstacles_gain;
-  /* damping of J_o⁺ [m^2]; default 1e-06; 1e-09 to 1000 */
+  /* damping of J_o⁺ [m^2]; default 1e-09; 1e-09 to 1000 */
   double obstacles_damping;
   /* r_g, where frame tool should be [m]; -1e+06 to 1e+06 */
   double tool_reference[2];

@@ -40,9 +40,7 @@ class Spec(TaskSpec):
         reference = symbol(
             f"{name}_reference", (m,), "m", f"r_g, where frame {frame.name} should be", "signal", (-1e6, 1e6)
         )
-        velocity = symbol(
-            f"{name}_reference_velocity", (m,), "m/s", "its time derivative ṙ_g", "signal", (-1e6, 1e6)
-        )
+        velocity = symbol(f"{name}_reference_velocity", (m,), "m/s", "its time derivative ṙ_g", "signal", (-1e6, 1e6))
         gain = symbol(
             f"{name}_gain",
             (m, m),

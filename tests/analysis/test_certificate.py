@@ -61,9 +61,7 @@ ROBOTS = {
 
 def spec(name):
     joints, tool = ROBOTS[name]
-    named = [
-        {"name": f"joint_{i}", "link": f"link_{i}", "velocity": 3.0, **joint} for i, joint in enumerate(joints)
-    ]
+    named = [{"name": f"joint_{i}", "link": f"link_{i}", "velocity": 3.0, **joint} for i, joint in enumerate(joints)]
     return ControllerSpec.parse(
         {
             "name": name,
@@ -196,9 +194,7 @@ def test_a_slide_behind_a_turn_has_no_closed_form(robot):
 
 @pytest.mark.parametrize("name", ["arm10", "arm2", "lone"])
 def test_a_singular_jacobian_is_a_bad_input_that_says_where(robot, name):
-    with pytest.raises(
-        BadInput, match=rf"{name}: the Jacobian of task 'tool' is singular within .* q = \["
-    ) as told:
+    with pytest.raises(BadInput, match=rf"{name}: the Jacobian of task 'tool' is singular within .* q = \[") as told:
         bounds_within_limits(robot(name))
     assert "\n" not in str(told.value)
 

@@ -159,9 +159,7 @@ def test_too_short_a_run_is_refused(planar5):
         measure_response(planar5, steps=1000)
 
 
-@pytest.mark.parametrize(
-    ("cutoff", "period"), [(0.0, 0.01), (-1.0, 0.01), (4.0, 0.0), (4.0, -0.01), (np.nan, 0.01)]
-)
+@pytest.mark.parametrize(("cutoff", "period"), [(0.0, 0.01), (-1.0, 0.01), (4.0, 0.0), (4.0, -0.01), (np.nan, 0.01)])
 def test_a_filter_without_sense_is_refused(cutoff, period):
     with pytest.raises(BadInput, match="wanted f_c > 0"):
         beta_of(cutoff, period)

@@ -179,9 +179,7 @@ def test_figures_show_theory_and_measurement(robot, circle):
         np.testing.assert_allclose(linear, [2 / (point.share * point.period) for point in points])
         np.testing.assert_array_equal(measured, [point.gain for point in points])
         np.testing.assert_array_equal(certified, [*tracking.certified[:2], np.nan])
-    for axes, tracking in zip(
-        figures["tracking_error"].axes, (found.tracking, found.filtered_tracking), strict=True
-    ):
+    for axes, tracking in zip(figures["tracking_error"].axes, (found.tracking, found.filtered_tracking), strict=True):
         drawn = [line.get_ydata() for line in axes.get_lines()]
         for errors in (tracking.largest[:, 0], tracking.ultimate[:, 0]):
             shown = np.where(errors < 1.0, errors, np.nan)

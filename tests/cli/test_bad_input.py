@@ -140,9 +140,7 @@ def test_damaged_manifest_is_refused(run_clikgen, generated_copy):
 
 
 def test_no_compiler_is_one_line_that_says_what_to_install(run_clikgen, tmp_path):
-    line = complaint(
-        run_clikgen, "simulate", "paper", PATH=str(tmp_path), CC="", CLIKGEN_CACHE=str(tmp_path / "cache")
-    )
+    line = complaint(run_clikgen, "simulate", "paper", PATH=str(tmp_path), CC="", CLIKGEN_CACHE=str(tmp_path / "cache"))
     assert "no C compiler" in line
     assert "clikgen[zig]" in line
 

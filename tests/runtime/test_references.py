@@ -27,9 +27,7 @@ EXAMPLES = {
     "spline": ({"waypoints": WAYPOINTS, "times": TIMES}, 3.0, WAYPOINTS[0], WAYPOINTS[-1]),
     "csv": ({}, 3.0, WAYPOINTS[0], WAYPOINTS[-1]),
 }
-KINDS = {
-    kind.model_fields["kind"].annotation.__args__[0]: kind for kind in typing.get_args(AnyTrajectory)[0].__args__
-}
+KINDS = {kind.model_fields["kind"].annotation.__args__[0]: kind for kind in typing.get_args(AnyTrajectory)[0].__args__}
 
 
 @pytest.fixture

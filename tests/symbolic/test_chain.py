@@ -29,9 +29,7 @@ def test_planar5_positions_equal_the_model_by_hand(evaluate_many, planar_model, 
         np.testing.assert_allclose(seen["link_pose"][i], planar_model.link_poses(q), rtol=0, atol=ROUNDING)
 
 
-def test_planar5_jacobians_equal_the_model_by_hand(
-    evaluate_many, planar_model, joint_positions, states_near_contact
-):
+def test_planar5_jacobians_equal_the_model_by_hand(evaluate_many, planar_model, joint_positions, states_near_contact):
     seen = evaluate_many("jacobians", states_near_contact(200, 0) | {"q": joint_positions})
     for i, q in enumerate(joint_positions):
         points = [planar_model.jacobian(q, point) for point in planar_model.POINTS]

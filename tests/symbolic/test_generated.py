@@ -360,14 +360,10 @@ def _expect_finite_step_or_bad_input(name, make):
     assert not complaint or (name in complaint and "\n" not in complaint)
 
 
-@pytest.mark.parametrize(
-    "name", ["point", "obstacle", "filter", "q", "lam", "period", "int", "two__lines", "end_"]
-)
+@pytest.mark.parametrize("name", ["point", "obstacle", "filter", "q", "lam", "period", "int", "two__lines", "end_"])
 def test_any_task_name_gives_a_controller_or_a_bad_input(name, altered, written):
     """Task names become parts of C names: what collides has to be told."""
-    _expect_finite_step_or_bad_input(
-        name, lambda: written(altered(lambda table: table["tasks"][1].update(name=name)))
-    )
+    _expect_finite_step_or_bad_input(name, lambda: written(altered(lambda table: table["tasks"][1].update(name=name))))
 
 
 @pytest.mark.parametrize("name", ["int", "casadi", "rollout", "two__lines", "end_", "step", "x" * 40])

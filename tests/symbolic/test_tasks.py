@@ -25,9 +25,7 @@ def resting():
 # ---- Eqs. 8-9: what is sensed, and the potential ----
 
 
-def test_potential_jacobian_is_the_potentials_derivative(
-    evaluate_many, planar_model, states_near_contact, one_state
-):
+def test_potential_jacobian_is_the_potentials_derivative(evaluate_many, planar_model, states_near_contact, one_state):
     values = states_near_contact(2_000, 1)
     # A kink of V sits where another obstacle becomes the closest one, a step of V's curvature at d = s, a pole
     # of it at d + R = 0: keep the states that stay 1e-4 m away from all of them.
@@ -178,9 +176,7 @@ def test_law_equals_the_printed_equations(evaluate_many, planar_model, states_ne
     for i in range(1_000):
         expected = planar_model.step(one_state(values, i))["dq_law"]
         # J_o is known to 2e-11 (see above) and divided by up to its damping, 1e-4: six digits at worst
-        np.testing.assert_allclose(
-            outputs["dq_law"][i], expected, rtol=0, atol=1e-6 * (1 + np.linalg.norm(expected))
-        )
+        np.testing.assert_allclose(outputs["dq_law"][i], expected, rtol=0, atol=1e-6 * (1 + np.linalg.norm(expected)))
     regular = np.linalg.norm(evaluate_many("jacobians", values)["obstacles_jacobian"], axis=1) > 1e-2
     assert np.sum(regular) > 200
     for i in np.flatnonzero(regular):
@@ -213,9 +209,7 @@ def test_a_free_robot_moves_its_tool_as_eq_4_asks(evaluate_many, states_near_con
     values["tool_damping"][:] = 1e-6
     outputs = evaluate_many("step", values)
     moved = np.einsum("kij,kj->ki", evaluate_many("jacobians", values)["tool_jacobian"], outputs["dq_law"])
-    wanted = values["tool_reference_velocity"] + np.einsum(
-        "kij,kj->ki", values["tool_gain"], outputs["tool_error"]
-    )
+    wanted = values["tool_reference_velocity"] + np.einsum("kij,kj->ki", values["tool_gain"], outputs["tool_error"])
     # σ_min(J_g) >= 1 for a mobile base: damping² = 1e-12 of a velocity below 30 m/s is lost
     np.testing.assert_allclose(moved, wanted, rtol=0, atol=3e-11)
     np.testing.assert_array_equal(

@@ -1,0 +1,187 @@
+"""`clikgen analyse chatter`: what chatters, why, and whether the normal map says so beforehand, for cases 1-3."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+
+from clikgen.analysis.chatter import SHORTEST, Comparison, Measured, Span, Sticking, compare, measure, sticking
+from clikgen.analysis.chatter_figures import chatter_plates
+from clikgen.analysis.metrics import metrics
+from clikgen.analysis.plates import Plate
+from clikgen.analysis.study import Study, Table
+from clikgen.analysis.summary import UNITS
+from clikgen.runtime.controller import CompiledController
+from clikgen.runtime.documents import BadInput
+from clikgen.runtime.scenario import CASES, Scenario
+from clikgen.runtime.simulation import Rollout, prepare
+
+WINDOW = 40  # samples of a stretch, along which v_n and v_t are taken as constant
+CYCLES = 5  # that a stretch holds at least: slow chatter is looked at in longer ones
+
+
+def chatter_study(controller: CompiledController, scenario: Scenario, source: str = "scenario") -> Study:
+    """Cases 1-3 of a scenario: every encounter measured; where one point is in contact, also predicted.
+
+    An encounter is compared in stretches of WINDOW samples, along which the normal map hardly changes, or of CYCLES
+    cycles where these are longer. Raises BadInput for a scenario that does not fit, without contact, or too short.
+    """
+    rollouts = {number: prepare(controller, scenario, case, source).in_c() for number, case in CASES.items()}
+    encounters = {number: _encounters(rollout) for number, rollout in rollouts.items()}
+    if not any(encounters.values()):
+        raise BadInput(f"{source}: no point of interest met an obstacle in any case: no chatter to analyse")
+    compared = {number: _compared(controller, rollout, encounters[number]) for number, rollout in rollouts.items()}
+    stuck = {number: _stuck(controller, rollout) for number, rollout in rollouts.items()}
+    everything = [each for of_case in compared.values() for each in of_case]
+    document = {
+        "controller": controller.manifest.controller,
+        "spec_sha256": controller.manifest.spec_sha256,
+        "scenario": scenario.name,
+        "units": UNITS,
+        "cases": {
+            str(number): {
+                "metrics": metrics(rollouts[number]).as_dict(),
+                "encounters": [_measured_entry(each, rollouts[number].period) for each in encounters[number]],
+                "stretches": [_compared_entry(each) for each in compared[number]],
+                "sticking": _sticking_entry(stuck[number]),
+            }
+            for number in rollouts
+        },
+    }
+    return Study(
+        title=f"Chatter of {scenario.name} on {controller.manifest.controller}",
+        verdicts=[
+            *(_words(number, encounters[number], compared[number]) for number in rollouts),
+            *(f"Case {number}: {each.explanation}" for number, each in stuck.items() if each is not None),
+        ],
+        tables=[
+            _encounter_table(encounters, rollouts),
+            _stretch_table(compared),
+        ],
+        plates=_plates(everything),
+        assumptions=[
+            f"Predictions are of the normal map of one point in contact, averaged over {WINDOW} samples or {CYCLES} "
+            "cycles: where v_n and v_t change much within that, or several points are in contact, it does not speak.",
+            "The map is made from compiled functions at states of the rollout; regime, period and amplitude are "
+            "measured from the depths alone.",
+            "c of the map is exact to O(T³): where a cycle's length hangs on it, the period is a range.",
+        ],
+        document=document,
+    )
+
+
+def _encounters(rollout: Rollout) -> tuple[Measured, ...]:
+    return measure(rollout) if rollout.active.any() else ()
+
+
+def _compared(controller: CompiledController, rollout: Rollout, encounters: Sequence[Measured]) -> list[Comparison]:
+    """Prediction and measurement for every stretch of the encounters in which one point alone is in contact."""
+    found: list[Comparison] = []
+    for encounter in encounters:
+        cycle = 0.0 if encounter.period is None else encounter.period.mean
+        stretches = max(1, int((encounter.end - encounter.begin) / max(WINDOW, CYCLES * cycle)))
+        edges = np.linspace(encounter.begin, encounter.end, stretches + 1).round().astype(int)
+        for begin, end in pairwise(edges):
+            if end - begin >= SHORTEST and rollout.active[begin:end].any():
+                found += compare(controller, rollout, (begin * rollout.period, end * rollout.period))
+    return found
+
+
+def _stuck(controller: CompiledController, rollout: Rollout) -> Sticking | None:
+    return sticking(controller, rollout) if rollout.tracked is not None else None
+
+
+def _plates(comparisons: Sequence[Comparison]) -> list[Plate]:
+    """The figures of the stretches that cycle; none where none does."""
+    cycling = [each for each in comparisons if each.measured.period is not None and each.map.b > 0]
+    return chatter_plates(comparisons) if cycling else []
+
+
+def _words(number: int, encounters: Sequence[Measured], compared: Sequence[Comparison]) -> str:
+    """One sentence on a case."""
+    if not encounters:
+        return f"Case {number}: no contact."
+    regimes = sorted({each.regime for each in encounters})
+    agreed = sum(each.prediction.regime == each.measured.regime for each in compared)
+    beforehand = (
+        f"; the normal map predicts the regime in {agreed} of {len(compared)} stretches with one point in contact"
+        if compared
+        else "; several points are in contact at once, which the normal map does not know"
+    )
+    return f"Case {number}: {len(encounters)} encounter(s), {' and '.join(regimes)}{beforehand}."
+
+
+def _encounter_table(encounters: Mapping[int, Sequence[Measured]], rollouts: Mapping[int, Rollout]) -> Table:
+    rows = [
+        [
+            str(number),
+            f"{each.begin * rollouts[number].period:.2f} to {each.end * rollouts[number].period:.2f}",
+            ", ".join(each.points),
+            each.regime,
+            _span(each.period),
+            _span(each.amplitude, 1e3),
+            "-" if each.frequency is None else f"{each.frequency:.3g}",
+        ]
+        for number, of_case in encounters.items()
+        for each in of_case
+    ]
+    columns = ["case", "t [s]", "points", "regime", "period [samples]", "amplitude [mm]", "frequency [Hz]"]
+    return Table("Encounters, measured", columns, rows)
+
+
+def _stretch_table(compared: Mapping[int, Sequence[Comparison]]) -> Table:
+    rows = [
+        [
+            str(number),
+            f"{each.measured.begin * each.map.period:.2f}",
+            f"{each.map.a:.3g}",
+            f"{1e3 * each.map.b:.3g}",
+            f"{1e3 * each.map.c:.3g}",
+            f"{each.prediction.regime} / {each.measured.regime}",
+            f"{_span(each.prediction.period)} / {_span(each.measured.period)}",
+            f"{_span(each.prediction.amplitude, 1e3)} / {_span(each.measured.amplitude, 1e3)}",
+        ]
+        for number, of_case in compared.items()
+        for each in of_case
+    ]
+    columns = ["case", "from t [s]", "a", "b [mm]", "c [mm]", "regime", "period [samples]", "amplitude [mm]"]
+    return Table("Stretches with one point in contact: predicted / measured", columns, rows)
+
+
+def _span(span: Span | None, factor: float = 1.0) -> str:
+    """Mean and range of what varies from cycle to cycle."""
+    if span is None:
+        return "-"
+    low, mean, high = (factor * value for value in (span.low, span.mean, span.high))
+    return f"{mean:.3g}" if np.isclose(low, high, rtol=1e-3) else f"{mean:.3g} ({low:.3g}-{high:.3g})"
+
+
+def _sticking_entry(stuck: Sticking | None) -> dict[str, Any] | None:
+    return None if stuck is None else asdict(stuck)
+
+
+def _measured_entry(measured: Measured, period: float) -> dict[str, Any]:
+    return {
+        "points": list(measured.points),
+        "begin_s": measured.begin * period,
+        "end_s": measured.end * period,
+        "regime": measured.regime,
+        "period_samples": None if measured.period is None else asdict(measured.period),
+        "amplitude_m": None if measured.amplitude is None else asdict(measured.amplitude),
+        "frequency_hz": measured.frequency,
+    }
+
+
+def _compared_entry(each: Comparison) -> dict[str, Any]:
+    return {
+        "map": {"a": each.map.a, "b": each.map.b, "c": each.map.c},
+        "predicted": {
+            "regime": each.prediction.regime,
+            "period_samples": None if each.prediction.period is None else asdict(each.prediction.period),
+            "amplitude_m": None if each.prediction.amplitude is None else asdict(each.prediction.amplitude),
+            "frequency_hz": each.prediction.frequency,
+        },
+        "measured": _measured_entry(each.measured, each.map.period),
+    }
