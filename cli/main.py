@@ -1,6 +1,8 @@
 """`clikgen`: the commands, and one clear line with exit code 2 for bad input."""
 
+import shlex
 import sys
+from typing import NoReturn
 
 import typer
 
@@ -26,11 +28,18 @@ def main() -> None:
     """Run the command line; exit codes: 0 done, 1 the check does not hold, 2 bad input."""
     try:
         sys.exit(app(standalone_mode=False))
-    except (BadInput, typer.TyperException) as error:
-        message = str(error) if isinstance(error, BadInput) else error.format_message()
-        if message:  # none where `clikgen` alone has printed its help
-            print("clikgen: error: " + " ".join(message.split()), file=sys.stderr)
+    except BadInput as error:
+        _refuse(str(error))
+    except typer.TyperException as error:
+        if error.format_message():  # none where `clikgen` alone has printed its help
+            _refuse(f"{error.format_message()} (got: {shlex.join(['clikgen', *sys.argv[1:]])})")
         sys.exit(2)
     except KeyboardInterrupt:
         print("clikgen: interrupted", file=sys.stderr)
         sys.exit(130)
+
+
+def _refuse(message: str) -> NoReturn:
+    """One line on stderr, exit code 2."""
+    print("clikgen: error: " + " ".join(message.split()), file=sys.stderr)
+    sys.exit(2)
