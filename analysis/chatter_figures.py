@@ -61,7 +61,7 @@ def _regimes(comparisons: Sequence[Comparison]) -> Plate:
         _mark(axes, each, x, y)
     axes.set(xlim=(0.0, strongest), ylim=(LOWEST, HIGHEST), yscale="log")
     axes.set_xlabel("$2(1-a) = K_oT$, filtered in contact $\\beta K_oT$")
-    axes.set_ylabel("$c/b$, drift outward over approach")
+    axes.set_ylabel(r"$c/b$, drift outward over approach, $\approx (v_t T/2\rho)\,/\,(v_n/v_t)$")
     axes.grid(visible=False)
     entries: list[Artist] = [Patch(facecolor=colour, alpha=0.3, label=regime) for regime, colour in COLOURS.items()]
     entries.append(Patch(facecolor="none", edgecolor=QUIET, hatch="///", label="two stable cycles: the entry decides"))

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import replace
+from typing import Any
 
 import matplotlib as mpl
 import numpy as np
@@ -13,6 +14,7 @@ from numpy.typing import NDArray
 from clikgen.analysis.clik_loop import READINGS, Loop, Reading, closed_loop, gain_bound, ramp_lag
 from clikgen.analysis.discrete_filter import beta_of
 from clikgen.analysis.drawing import ERROR, QUIET, STYLE
+from clikgen.analysis.measured_loop import MeasuredLoop
 from clikgen.analysis.plates import Plate
 
 Array = NDArray[np.float64]
@@ -25,10 +27,13 @@ READING_NAMES = {
 }
 
 
-def clik_plates(loop: Loop, gain: float, cutoff: float) -> list[Plate]:
-    """Bounds over T, root loci over K, and frequency responses, around `loop` at `gain` [1/s], f_c [Hz]."""
+def clik_plates(loop: Loop, gain: float, cutoff: float, measured: MeasuredLoop | None = None) -> list[Plate]:
+    """Bounds over T, root loci over K, and frequency responses, around `loop` at `gain` [1/s], f_c [Hz].
+
+    `measured` is the response of the compiled step in reading A, with feedforward.
+    """
     with mpl.rc_context(STYLE):
-        return [_bounds(loop, gain, cutoff), _loci(loop, gain), _responses(loop, gain)]
+        return [_bounds(loop, gain, cutoff), _loci(loop, gain), _responses(loop, gain, measured)]
 
 
 def bound_curves(loop: Loop, cutoff: float, periods: Array) -> Mapping[str, Array]:
@@ -141,7 +146,7 @@ def _draw_locus(axes: Axes, poles: NDArray[np.complex128], share: Array, colour:
     axes.set(xlim=(-1.6, 1.3), ylim=(-1.25, 1.25))
 
 
-def _responses(loop: Loop, gain: float) -> Plate:
+def _responses(loop: Loop, gain: float, measured: MeasuredLoop | None) -> Plate:
     """Commanded to actual position: gain and phase with and without feedforward, and the ramp lag in words."""
     f = np.geomspace(0.01, 0.5 / loop.period, 400)
     z = np.exp(2j * np.pi * f * loop.period)
@@ -158,9 +163,21 @@ def _responses(loop: Loop, gain: float) -> Plate:
             size.plot(f, 20 * np.log10(np.abs(response)), color=READING_COLOURS[reading], ls=style, label=name)
             lag.plot(f, np.degrees(np.unwrap(np.angle(response))), color=READING_COLOURS[reading], ls=style)
             data |= {f"{name}, gain": np.abs(response), f"{name}, phase [rad]": np.angle(response)}
+    if measured is not None:
+        at = np.unique(np.searchsorted(measured.frequency, np.geomspace(measured.frequency[0], 0.5 / loop.period, 40)))
+        at = at[at < len(measured.frequency)]
+        dots: dict[str, Any] = {"ls": "none", "marker": "o", "ms": 4.5, "color": ERROR, "mfc": "none", "zorder": 5}
+        at_f, there = measured.frequency[at], measured.response[at]
+        size.plot(at_f, 20 * np.log10(np.abs(there)), **dots, label="compiled step, measured")
+        lag.plot(at_f, np.degrees(np.angle(there)), **dots)
+        data |= {"measured frequency [Hz]": measured.frequency, "measured gain": np.abs(measured.response)}
+        data |= {"measured phase [rad]": np.angle(measured.response)}
     size.set(ylabel="gain [dB]", xscale="log", xlim=(f[0], f[-1]), ylim=(-60, 6))
     lag.set(ylabel="phase [deg]", xlabel="frequency [Hz]", ylim=(-200, 60))
     size.set_title(f"Commanded to actual position at K = {gain:g}/s, β = {loop.beta:.4g}", loc="left")
     figure.legend(loc="outside lower center", ncols=2)
-    caption = "Frequency response from the commanded to the actual position for the three readings of eq. 16."
+    caption = (
+        "Frequency response from the commanded to the actual position for the three readings of eq. 16; dots: of the "
+        "compiled step, whose filtered position is the state (A), excited by a noisy reference."
+    )
     return Plate("clik_response", caption, figure, data)

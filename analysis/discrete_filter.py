@@ -163,6 +163,23 @@ def shipped_beta(controller: CompiledController, cutoff: float | None = None, pe
     return np.asarray(one_step["dq"][0] / one_step["dq_law"][0])
 
 
+def estimate(put_in: Array, came_out: Array, period: float) -> tuple[Array, NDArray[np.complex128], Array]:
+    """Frequencies (k,) [Hz], transfer function (k,) and coherence (k,) from a record (N,) of in and out.
+
+    Cross-spectral over power-spectral density, Welch with a Hann window (scipy), the lowest bins left out. Raises
+    BadInput when the record is too short for eight segments.
+    """
+    if len(put_in) < 8 * SEGMENT:
+        raise BadInput(
+            f"too short to estimate a frequency response from: wanted {8 * SEGMENT} steps, got {len(put_in)}"
+        )
+    frequency, power = welch(put_in, fs=1 / period, window="hann", nperseg=SEGMENT)
+    _, cross = csd(put_in, came_out, fs=1 / period, window="hann", nperseg=SEGMENT)
+    _, out_power = welch(came_out, fs=1 / period, window="hann", nperseg=SEGMENT)
+    seen = slice(LOWEST_BIN, None)
+    return frequency[seen], (cross / power)[seen], (np.abs(cross) ** 2 / (power * out_power))[seen]
+
+
 def measure_response(
     controller: CompiledController,
     joint: int = 0,
@@ -174,11 +191,9 @@ def measure_response(
 ) -> MeasuredResponse:
     """The compiled step excited by its reference velocity; in and out of the filter compared at one joint.
 
-    In: q + T q̇_law, out: q_next, both as increments, since those have a flat spectrum. Welch and cross-spectral
-    density with a Hann window (scipy). Raises BadInput when `steps` is too short for eight segments.
+    In: q + T q̇_law, out: q_next, both as increments, since those have a flat spectrum. Raises BadInput when `steps`
+    is too short to estimate from.
     """
-    if steps < 8 * SEGMENT:
-        raise BadInput(f"too short to estimate a frequency response from: wanted {8 * SEGMENT} steps, got {steps}")
     values = _filter_inputs(controller, cutoff, period)
     tracking = next(task for task in controller.manifest.tasks if task.equality)
     T = float(values["period"])
@@ -186,17 +201,15 @@ def measure_response(
     values |= {"q": _regular(controller), f"{tracking.name}_reference_velocity": velocity}
     run = controller.rollout(steps, values)
     raw = run["q"][:-1, joint] + T * run["dq_law"][:, joint]
-    put_in, came_out = np.diff(raw), np.diff(run["q"][1:, joint])
-    frequency, power = welch(put_in, fs=1 / T, window="hann", nperseg=SEGMENT)
-    _, cross = csd(put_in, came_out, fs=1 / T, window="hann", nperseg=SEGMENT)
-    _, out_power = welch(came_out, fs=1 / T, window="hann", nperseg=SEGMENT)
+    put_in, came_out = np.diff(raw, prepend=raw[0]), np.diff(run["q"][:, joint])
+    frequency, response, coherence = estimate(put_in, came_out, T)
     return MeasuredResponse(
         joint=joint,
         beta=float(shipped_beta(controller, cutoff, period)[joint]),
         period=T,
-        frequency=frequency[LOWEST_BIN:],
-        response=(cross / power)[LOWEST_BIN:],
-        coherence=(np.abs(cross) ** 2 / (power * out_power))[LOWEST_BIN:],
+        frequency=frequency,
+        response=response,
+        coherence=coherence,
     )
 
 

@@ -32,14 +32,13 @@ def filter_command(
 ) -> int:
     """The filter that the controller ships: response, true cut-off, noise gain, design in hertz."""
     from clikgen.analysis.filter_study import filter_study
-    from clikgen.cli.freshness import demand_fresh
+    from clikgen.cli.freshness import fresh_controller
     from clikgen.cli.terminal import progress_bar
-    from clikgen.runtime.controller import CompiledController
 
-    demand_fresh(controller)
+    compiled = fresh_controller(controller)
     with progress_bar() as progress:
         progress.add_task("measuring the compiled filter", total=None)
-        study = filter_study(CompiledController.load(controller), cutoff, period, design)
+        study = filter_study(compiled, cutoff, period, design)
     return _deliver(study, out, as_json)
 
 
@@ -123,14 +122,12 @@ def report_command(
 
 def _scenario(name: str, settings: list[str] | None) -> "tuple[CompiledController, Scenario, str]":
     """A scenario, its compiled controller, and the file it is from."""
-    from clikgen.cli.freshness import demand_fresh
-    from clikgen.runtime.controller import CompiledController
+    from clikgen.cli.freshness import fresh_controller
     from clikgen.runtime.scenario import find_scenario, read_scenario
 
     path = find_scenario(name)
     wanted = read_scenario(path, settings or [])
-    demand_fresh(wanted.controller)
-    return CompiledController.load(wanted.controller), wanted, str(path)
+    return fresh_controller(wanted.controller), wanted, str(path)
 
 
 def _deliver(study: "Study", out: Path | None, as_json: bool) -> int:

@@ -17,20 +17,17 @@ def command(
     from clikgen.analysis.claims import claims
     from clikgen.analysis.figures import paper_figures, save
     from clikgen.analysis.summary import metrics_table, simulation_document
-    from clikgen.cli.freshness import demand_fresh
+    from clikgen.cli.freshness import fresh_controller
     from clikgen.cli.terminal import messages, print_json, print_table, progress_bar
-    from clikgen.runtime.controller import CompiledController
     from clikgen.runtime.documents import json_text, make_folder, write_atomically
     from clikgen.runtime.scenario import CASES, find_scenario, read_scenario
     from clikgen.runtime.simulation import prepare
 
     make_folder(out)
     scenario = read_scenario(find_scenario("paper"))
-    demand_fresh(scenario.controller)
+    controller = fresh_controller(scenario.controller)
     with progress_bar() as progress:
-        task = progress.add_task("compiling", total=None)
-        controller = CompiledController.load(scenario.controller)
-        progress.update(task, description="simulating")
+        task = progress.add_task("simulating", total=None)
         rollouts = {number: prepare(controller, scenario, case).in_c() for number, case in CASES.items()}
         free = scenario.model_copy(update={"obstacles": ()})
         floor = prepare(controller, free, CASES[1]).in_c()

@@ -2,7 +2,8 @@
 
 from pathlib import Path
 
-from clikgen.runtime.controller import find_controller
+from clikgen.cli.terminal import progress_bar
+from clikgen.runtime.controller import CompiledController, find_controller
 from clikgen.runtime.documents import BadInput
 from clikgen.runtime.manifest import load_manifest
 from clikgen.symbolic.generate import shipped_folder
@@ -24,7 +25,13 @@ def is_stale(controller: str) -> bool:
     return spec is not None and read_spec(spec).sha256() != load_manifest(folder).spec_sha256
 
 
-def demand_fresh(controller: str) -> None:
-    """Raises BadInput when the generated code is not what its spec says."""
+def fresh_controller(controller: str) -> CompiledController:
+    """The controller, compiled if need be, with a progress bar meanwhile.
+
+    Raises BadInput when the generated code is not what its spec says, or cannot be compiled.
+    """
     if is_stale(controller):
         raise BadInput(f"{find_controller(controller)}: stale, {spec_of(controller)} changed; run 'clikgen generate'")
+    with progress_bar() as progress:
+        progress.add_task(f"compiling {controller}", total=None)
+        return CompiledController.load(controller)

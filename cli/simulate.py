@@ -23,9 +23,8 @@ def command(
 ) -> int:
     """Simulate a scenario: all three cases, or one."""
     from clikgen.analysis.summary import metrics_table, simulation_document, trajectory_csv
-    from clikgen.cli.freshness import demand_fresh
+    from clikgen.cli.freshness import fresh_controller
     from clikgen.cli.terminal import messages, print_json, print_table, progress_bar
-    from clikgen.runtime.controller import CompiledController
     from clikgen.runtime.documents import BadInput, json_text, write_atomically
     from clikgen.runtime.realtime import MonotonicClock
     from clikgen.runtime.scenario import CASES, find_scenario, read_scenario
@@ -35,8 +34,7 @@ def command(
         raise BadInput(f"--case: wanted one of {', '.join(map(str, CASES))}, got {case}")
     path = find_scenario(scenario)
     wanted = read_scenario(path, settings or [])
-    demand_fresh(wanted.controller)
-    controller = CompiledController.load(wanted.controller)
+    controller = fresh_controller(wanted.controller)
     runs = {number: prepare(controller, wanted, CASES[number], str(path)) for number in ([case] if case else CASES)}
     rollouts, timings = {}, {}
     with progress_bar() as progress:
