@@ -45,6 +45,12 @@ def command(
         messages.print(f"wrote {written}")
     for removed in change.remove:
         messages.print(f"removed {removed}")
+    guests = controllers.keys() - {path.stem for path in shipped_specs()}
+    if guests and folder.resolve() == shipped_folder().resolve():
+        messages.print(
+            f"note: {folder} is kept equal to the shipped specs, so that 'clikgen generate' alone will remove "
+            f"{', '.join(sorted(guests))} again; work in a folder of your own, or give --out"
+        )
     if not change:
         messages.print(f"{folder}: {', '.join(controllers)}: up to date, nothing written")
     return 0

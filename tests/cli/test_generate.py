@@ -148,3 +148,14 @@ def test_killed_at_any_moment_every_file_is_the_old_or_the_new_one(longer_arm, g
     subprocess.run([*CLIKGEN, "generate", longer_arm, "--out", generated_copy], check=True, capture_output=True)
     assert contents(target) == new  # the next run heals everything, temporary files included
     assert mixed < 12
+
+
+def test_own_controller_among_the_shipped_ones_is_warned_of(run_clikgen, longer_arm, generated_copy, monkeypatch):
+    """A bare `clikgen generate` would remove it again, as no shipped spec stands for it."""
+    monkeypatch.setattr("clikgen.symbolic.generate.shipped_folder", lambda: generated_copy)
+    longer_arm.write_text(longer_arm.read_text().replace('name = "planar5"', 'name = "mine"', 1))
+    outcome = run_clikgen("generate", longer_arm, "--out", generated_copy)
+    assert outcome.returncode == 0
+    assert "'clikgen generate' alone will remove mine again" in outcome.stderr
+    assert "removed" in run_clikgen("generate").stderr
+    assert not (generated_copy / "mine").exists()
