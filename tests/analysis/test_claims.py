@@ -44,6 +44,6 @@ def test_filter_without_effect_fails_the_claims_of_case_2():
 def test_predicted_lag_of_case_2_is_the_measured_one():
     claim = next(claim for claim in judge() if "does not follow" in claim.claim)
     measured = float(claim.measured.split("error ")[1].split(" m")[0])
-    predicted = float(claim.why.split(": ")[1].split(" m")[0])
-    # the ramp formula on a path that winds: its acceleration adds some per cent
-    assert measured == pytest.approx(predicted, rel=0.15)
+    predicted = float(claim.why.split("predicts ")[1].split(" m")[0])
+    # three digits of each; what the encounters leave behind after their settling time adds a little
+    assert measured == pytest.approx(predicted, rel=0.02)
