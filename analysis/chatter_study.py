@@ -29,6 +29,12 @@ def chatter_study(controller: CompiledController, scenario: Scenario, source: st
     cycles where these are longer. Raises BadInput for a scenario that does not fit, without contact, or too short.
     """
     rollouts = {number: prepare(controller, scenario, case, source).in_c() for number, case in CASES.items()}
+    for number, rollout in rollouts.items():
+        if rollout.diverged is not None:
+            raise BadInput(
+                f"{source}: case {number} diverged at t = {rollout.diverged:g} s: no chatter to analyse, "
+                "see 'clikgen analyse clik'"
+            )
     encounters = {number: _encounters(rollout) for number, rollout in rollouts.items()}
     if not any(encounters.values()):
         raise BadInput(f"{source}: no point of interest met an obstacle in any case: no chatter to analyse")

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from clikgen.analysis.metrics import encounters
 from clikgen.runtime.controller import CompiledController
 from clikgen.runtime.documents import BadInput
-from clikgen.runtime.manifest import FAR, Manifest
+from clikgen.runtime.manifest import Manifest
 from clikgen.runtime.simulation import Rollout
 
 Array = NDArray[np.float64]
@@ -111,9 +111,8 @@ def require_drawable(rollouts: Mapping[int, Rollout]) -> None:
     for number, rollout in rollouts.items():
         if len(rollout.t) < SHORTEST:
             raise BadInput(f"case {number}: wanted {SHORTEST} steps or more to draw, got {len(rollout.t)}")
-        lost = np.flatnonzero(~np.all(np.abs(rollout.q[:-1]) < FAR, axis=1))  # NaN is not below either
-        if lost.size:
-            raise BadInput(f"case {number}: diverged at t = {rollout.t[lost[0]]:g} s, nothing to draw")
+        if rollout.diverged is not None:
+            raise BadInput(f"case {number}: diverged at t = {rollout.diverged:g} s, nothing to draw")
 
 
 def poses(controller: CompiledController, rollout: Rollout, steps: Sequence[int]) -> Poses:

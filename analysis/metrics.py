@@ -52,10 +52,11 @@ class Metrics:
 
 
 def metrics(rollout: Rollout) -> Metrics:
-    """All metrics of a rollout, with f_h and the dead-band of its scenario.
+    """All metrics of a rollout, with f_h and the dead-band of its scenario; of one that diverged, up to there.
 
     Raises BadInput when f_h lies above the Nyquist frequency.
     """
+    rollout = rollout.before_divergence()
     settings, period = rollout.scenario.metrics, rollout.period
     steps = np.diff(rollout.dq, axis=0)
     error = np.linalg.norm(rollout.error, axis=1)
@@ -133,7 +134,7 @@ def task_velocity(rollout: Rollout) -> Array:
 
 def hf_rms_by_joint(rollout: Rollout) -> dict[str, float]:
     """hf_rms of every joint by its name [rad/s or m/s]."""
-    values = hf_rms(rollout.dq, rollout.period, rollout.scenario.metrics.f_h)
+    values = hf_rms(rollout.before_divergence().dq, rollout.period, rollout.scenario.metrics.f_h)
     return {joint.name: float(value) for joint, value in zip(rollout.manifest.joints, values, strict=True)}
 
 

@@ -43,6 +43,7 @@ def simulation_document(rollouts: Mapping[int, Rollout], timings: Mapping[int, T
                 **metrics(rollout).as_dict(),
                 "hf_rms_by_joint": hf_rms_by_joint(rollout),
                 "outside_limits": outside_limits(rollout),
+                "diverged_s": rollout.diverged,
             }
             for number, rollout in rollouts.items()
         },
@@ -59,6 +60,9 @@ def metrics_table(rollouts: Mapping[int, Rollout]) -> tuple[str, list[str], list
     heads = [f"case {number}: {rollout.case.title}" for number, rollout in rollouts.items()]
     rows = [[name, *(_figure(measured[number][name]) for number in rollouts), unit] for name, unit in UNITS.items()]
     rows.append(["outside limits", *(", ".join(outside_limits(rollout)) or "-" for rollout in rollouts.values()), ""])
+    lost = {number: rollout.diverged for number, rollout in rollouts.items()}
+    if any(at is not None for at in lost.values()):
+        rows.append(["diverged at", *("-" if at is None else f"{at:g}" for at in lost.values()), "s"])
     title = (
         f"{first.scenario.name} on {first.manifest.controller}: {len(first.t)} steps of {first.period:g} s, "
         f"f_h = {first.scenario.metrics.f_h:g} Hz"

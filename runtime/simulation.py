@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +15,7 @@ from clikgen.runtime.scenario import Case, Scenario, check_against
 
 Array = NDArray[np.float64]
 LONGEST = 10_000_000  # steps; longer is taken for a slip of the pen
+LOST = 1e6  # [m, rad] a joint beyond this, the limit of the state q, has diverged
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -58,6 +59,27 @@ class Rollout:
     def error(self) -> Array:
         """Reference minus position, (N, m) [m]; (N, 0) without a tracking task."""
         return self.signals.get(f"{self.tracked}_error", self.reference)
+
+    @property
+    def diverged(self) -> float | None:
+        """When the joints left the limits of the state, or were not finite any more [s]; None if they never did."""
+        with np.errstate(invalid="ignore"):
+            lost = ~np.all(np.abs(self.q[:-1]) <= LOST, axis=1)
+        return float(self.t[np.argmax(lost)]) if lost.any() else None
+
+    def before_divergence(self) -> "Rollout":
+        """The rollout up to where it diverged, or all of it; two steps at least."""
+        if self.diverged is None:
+            return self
+        steps = max(2, int(np.searchsorted(self.t, self.diverged)))
+        return replace(
+            self,
+            t=self.t[:steps],
+            signals={name: values[: steps + (name == "q")] for name, values in self.signals.items()},
+            reference=self.reference[:steps],
+            reference_velocity=self.reference_velocity[:steps],
+            obstacle_center=self.obstacle_center[:steps],
+        )
 
     @property
     def active(self) -> NDArray[np.bool_]:

@@ -79,6 +79,19 @@ def test_real_time_run_moves_as_the_simulation_and_tells_how_punctual_it_was(run
     assert isinstance(timing["overruns"], int)
 
 
+def test_a_run_that_diverges_says_when_and_is_measured_up_to_there(run_clikgen, recwarn):
+    outcome = run_clikgen("simulate", "paper", "--set", "tool_gain=400", "--json")
+    assert outcome.returncode == 0
+    cases = json.loads(outcome.stdout)["cases"]
+    # K T = 4 > 2: the error triples with every step, alternating, from under a millimetre to 1e6 m
+    assert cases["1"]["diverged_s"] == cases["3"]["diverged_s"]
+    assert 0.15 < cases["1"]["diverged_s"] < 0.5
+    assert all(cases["1"][name] is not None for name in METRICS)
+    assert cases["2"]["diverged_s"] is None  # with the filter β K T = 0.8
+    assert "diverged at" in run_clikgen("simulate", "paper", "--set", "tool_gain=400").stdout
+    assert not recwarn.list  # no overflow met on the way
+
+
 def test_without_obstacles_clearance_is_none(run_clikgen):
     free = json.loads(run_clikgen("simulate", "paper", "--set", "obstacles=[]", "--json").stdout)
     for case in free["cases"].values():
