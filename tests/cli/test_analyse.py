@@ -51,6 +51,14 @@ def test_clik_says_how_far_the_gain_may_go_and_measures_it(run_clikgen, tmp_path
     assert {"clik_gain_bound", "clik_root_locus", "clik_response", "clik_stability_map"} <= names(tmp_path, "csv")
 
 
+def test_unequal_cutoffs_are_taken_at_the_least_as_the_paper_does(run_clikgen):
+    least = json.loads(run_clikgen("analyse", "clik", "paper", "--json").stdout)
+    mixed = json.loads(
+        run_clikgen("analyse", "clik", "paper", "--set", "filter_cutoff=[4, 4, 9, 5, 4]", "--json").stdout
+    )
+    assert mixed == least  # 4 Hz is the least
+
+
 def test_delay_and_servo_lower_the_bound(run_clikgen):
     plain = json.loads(run_clikgen("analyse", "clik", "paper", "--json").stdout)
     slow = json.loads(run_clikgen("analyse", "clik", "paper", "--delay", 2, "--servo", 0.02, "--json").stdout)
