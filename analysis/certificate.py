@@ -102,17 +102,9 @@ class PlanarChain:
         return float(np.hypot(np.linalg.norm(self.sliding, 2), np.linalg.norm(reach)))
 
 
-def tracking_task(manifest: Manifest) -> str:
-    """The tracking task of the highest priority, the one the certificate is about; raises BadInput without one."""
-    for task in manifest.tasks:
-        if task.equality:
-            return task.name
-    raise BadInput(f"{manifest.controller}: no tracking task, nothing to certify")
-
-
 def jacobians(controller: CompiledController, q: Array) -> Array:
     """J of the tracking task at q (N, n), shape (N, m, n)."""
-    return controller.jacobians.map(len(q), {"q": q})[f"{tracking_task(controller.manifest)}_jacobian"]
+    return controller.jacobians.map(len(q), {"q": q})[f"{controller.manifest.tracking_task().name}_jacobian"]
 
 
 def singular_values(controller: CompiledController, q: Array) -> Array:
@@ -178,7 +170,7 @@ def planar_chain(controller: CompiledController) -> PlanarChain | None:
     acting = np.flatnonzero(np.abs(J).max(axis=(0, 1)) > CONSTANT)
     turning = slice(first, max(first, 1 + max(acting, default=-1)))
     where = controller.kinematics.map(len(q), {"q": q})
-    pose, tip = where["link_pose"], where[f"{tracking_task(manifest)}_position"]
+    pose, tip = where["link_pose"], where[f"{manifest.tracking_task().name}_position"]
     corners = np.concatenate([pose[:, turning, :2, 3], tip[:, None]], axis=1)
     rotation = pose[:, turning, :2, :2]
     segments = np.einsum("ckij,cki->ckj", rotation, np.diff(corners, axis=1))  # seen from their links
@@ -290,7 +282,7 @@ def _bounds(controller: CompiledController, boxes: _Boxes, where: str) -> Bounds
         sigma_min = float(np.sqrt(max(0.0, -least)))
     sigma_max = chain.sigma_max if chain else boxes.largest(lambda q: singular_values(controller, q)[:, 0])[0]
     name = controller.manifest.controller
-    task = tracking_task(controller.manifest)
+    task = controller.manifest.tracking_task().name
     if sigma_min < SINGULAR * sigma_max:
         raise BadInput(
             f"{name}: the Jacobian of task '{task}' is singular {where}: σ = {sigma_min:.2g} at "
@@ -555,7 +547,7 @@ def tuning_of(manifest: Manifest, parameters: Mapping[str, Array]) -> Tuning:
 
     Raises BadInput where the joints have different cut-offs: J A_β J⁺ is then no multiple of I.
     """
-    task = tracking_task(manifest)
+    task = manifest.tracking_task().name
     cutoff: float | None = None
     share = float(parameters["lam_free"]) if "lam_free" in parameters else 1.0
     if "filter_cutoff" in parameters and share > 0:
@@ -577,7 +569,7 @@ def tuning_of(manifest: Manifest, parameters: Mapping[str, Array]) -> Tuning:
 
 def motion_of(controller: CompiledController, rollout: Rollout) -> Motion:
     """The reference's v and a as they were sampled, and what lower tasks did while nothing was active."""
-    task = tracking_task(rollout.manifest)
+    task = rollout.manifest.tracking_task().name
     position, velocity = rollout.scenario.references[task].sample(rollout.t)
     null_velocity, leak = _lower_tasks(controller, rollout, task, velocity)
     reference = reference_motion(position, velocity, rollout.period)

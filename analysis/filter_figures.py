@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 
 from clikgen.analysis.discrete_filter import (
     Design,
-    MeasuredResponse,
     beta_of,
     cutoff_of,
     designs,
@@ -24,6 +23,7 @@ from clikgen.analysis.discrete_filter import (
     prototype,
 )
 from clikgen.analysis.drawing import ERROR, QUIET, STYLE
+from clikgen.analysis.measured_filter import MeasuredResponse
 from clikgen.analysis.plates import Plate
 
 Array = NDArray[np.float64]

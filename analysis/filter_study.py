@@ -7,18 +7,17 @@ import numpy as np
 
 from clikgen.analysis.discrete_filter import (
     EXISTENCE_EDGE,
-    MeasuredResponse,
     beta_for,
     cutoff_of,
     designs,
     group_delay,
     magnitude,
-    measure_response,
     minus_3_db,
     noise_gain,
     phase,
 )
 from clikgen.analysis.filter_figures import filter_plates
+from clikgen.analysis.measured_filter import MeasuredResponse, measure_response
 from clikgen.analysis.study import Study, Table
 from clikgen.runtime.controller import CompiledController
 

@@ -6,9 +6,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from clikgen.analysis.certificate import regular_configuration, tracking_task
+from clikgen.analysis.certificate import regular_configuration
 from clikgen.analysis.clik_loop import Loop, pole_radius
-from clikgen.analysis.discrete_filter import beta_of, estimate
+from clikgen.analysis.discrete_filter import beta_of
+from clikgen.analysis.measured_filter import estimate
 from clikgen.runtime.controller import CompiledController
 from clikgen.runtime.documents import BadInput
 
@@ -36,7 +37,7 @@ def measure_loop(
     that the controller does not take.
     """
     values = _values(controller, gain, period, cutoff)
-    task = tracking_task(controller.manifest)
+    task = controller.manifest.tracking_task().name
     place = values.pop("place")
     reference = place + AMPLITUDE * np.random.default_rng(seed).standard_normal((STEPS + 1, place.size))
     moving = {f"{task}_reference": reference[:-1], f"{task}_reference_velocity": np.diff(reference, axis=0) / period}
@@ -51,7 +52,7 @@ def measure_ramp_lag(controller: CompiledController, gain: float, period: float,
     Raises BadInput for values that the controller does not take.
     """
     values = _values(controller, gain, period, cutoff)
-    task = tracking_task(controller.manifest)
+    task = controller.manifest.tracking_task().name
     place = values.pop("place")
     pole = pole_radius(Loop("A", period, 1.0 if cutoff is None else beta_of(cutoff, period)), gain)
     steps = int(np.ceil(12 / -np.log(min(max(pole, 0.5), 1 - 1e-12))))
@@ -69,7 +70,7 @@ def _values(controller: CompiledController, gain: float, period: float, cutoff: 
     """Inputs of the step without obstacles; under "place" where the tracked frame is at the start."""
     if not gain > 0:
         raise BadInput(f"gain: wanted more than 0, got {gain:g}")
-    step, task = controller.manifest.function("step"), tracking_task(controller.manifest)
+    step, task = controller.manifest.function("step"), controller.manifest.tracking_task().name
     given: dict[str, ArrayLike] = {f"{task}_gain": gain, "period": period, "lam_free": 0.0 if cutoff is None else 1.0}
     if cutoff is not None:
         given["filter_cutoff"] = cutoff

@@ -21,7 +21,6 @@ from clikgen.analysis.certificate import (
     recursion,
     reference_motion,
     regular_configuration,
-    tracking_task,
     tuning_of,
 )
 from clikgen.analysis.clik_loop import Loop, gain_bound
@@ -95,7 +94,7 @@ def _defaults(step: FunctionInfo) -> dict[str, Array]:
 
 def _boundary_point(controller: CompiledController, values: dict[str, Array], filtered: bool) -> BoundaryPoint:
     """One sampling time: the error starts along the eigenvector of J A_β J^# that loses stability first."""
-    task, T = tracking_task(controller.manifest), float(values["period"])
+    task, T = controller.manifest.tracking_task().name, float(values["period"])
     J = jacobians(controller, values["q"][None])[0]
     cutoffs = values["filter_cutoff"]
     beta = [beta_of(float(cutoff), T) if filtered else 1.0 for cutoff in cutoffs]
@@ -126,7 +125,7 @@ def _decays(controller: CompiledController, values: dict[str, Array], gain: floa
 
     Its end alone would not tell: what has grown may carry the arm to another configuration, where it dies.
     """
-    task = tracking_task(controller.manifest)
+    task = controller.manifest.tracking_task().name
     K = gain * np.eye(values[f"{task}_reference"].size)
     size = _size(controller.rollout(STEPS, values | {f"{task}_gain": K})[f"{task}_error"])
     return bool(size[1:].max() < size[0])

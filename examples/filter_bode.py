@@ -2,8 +2,9 @@
 
 from pathlib import Path
 
-from clikgen.analysis.discrete_filter import beta_for, cutoff_of, measure_response, system
+from clikgen.analysis.discrete_filter import beta_for, cutoff_of, system
 from clikgen.analysis.filter_figures import filter_plates
+from clikgen.analysis.measured_filter import measure_response
 from clikgen.analysis.plates import save_plates
 from clikgen.runtime.controller import CompiledController
 

@@ -147,6 +147,17 @@ class Manifest(Document):
     filter: str
     functions: tuple[FunctionInfo, ...]
 
+    @property
+    def tracking_tasks(self) -> tuple[TaskInfo, ...]:
+        """The tasks that follow a reference, the highest priority first."""
+        return tuple(task for task in self.tasks if task.equality)
+
+    def tracking_task(self) -> TaskInfo:
+        """The tracking task of the highest priority; raises BadInput without one."""
+        if not self.tracking_tasks:
+            raise BadInput(f"{self.controller}: wanted a tracking task, got none")
+        return self.tracking_tasks[0]
+
     def function(self, name: str) -> FunctionInfo:
         """The generated function called `name` (kinematics, jacobians, step)."""
         return {function.name: function for function in self.functions}[name]

@@ -142,7 +142,7 @@ def check_against(scenario: Scenario, manifest: Manifest, source: str) -> None:
             f"{source}: obstacles: wanted at most {manifest.obstacles} for {manifest.controller}, "
             f"got {len(scenario.obstacles)}"
         )
-    tracking = {task.name: task for task in manifest.tasks if task.equality}
+    tracking = [task.name for task in manifest.tracking_tasks]
     for name in scenario.references:
         if name not in tracking:
             raise BadInput(f"{source}: references: no tracking task '{name}'; {choices(name, tracking)}")

@@ -113,8 +113,7 @@ class Run:
         return self._rollout(signals), timing
 
     def _rollout(self, signals: Mapping[str, Array]) -> Rollout:
-        tracking = (task.name for task in self.controller.manifest.tasks if task.equality)
-        tracked = next(tracking, None)
+        tracked = next((task.name for task in self.controller.manifest.tracking_tasks), None)
         untracked = np.zeros((self.steps, 0))
         centers = self.values.get("obstacle_center")
         present = len(self.scenario.obstacles)

@@ -168,3 +168,13 @@ def test_mistake_is_one_line(mistake, run_clikgen):
     assert len(outcome.stderr.strip().splitlines()) == 1, outcome.stderr
     for piece in wanted:
         assert piece in outcome.stderr
+
+
+def test_controller_without_a_tracking_task_is_one_line(run_clikgen, in_folder):
+    text = SPEC.read_text().replace('name = "planar5"', 'name = "shy"', 1)
+    tool = text[text.index('[[tasks]]\nname = "tool"') : text.index("[filter]")]
+    (in_folder / "shy.toml").write_text(text.replace(tool, ""))
+    assert run_clikgen("generate", "shy.toml").returncode == 0
+    outcome = run_clikgen("analyse", "filter", "shy")
+    assert outcome.returncode == 2
+    assert outcome.stderr == "clikgen: error: shy: wanted a tracking task, got none\n"
