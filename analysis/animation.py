@@ -1,13 +1,16 @@
-"""One GIF of all cases: the robots, their influence regions, what they trace, and λ over time."""
+"""One film of all cases: the robots, their influence regions, what they trace, and λ over time."""
 
 import io
+import subprocess
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import matplotlib as mpl
 import numpy as np
+from matplotlib.animation import FFMpegWriter
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -24,7 +27,7 @@ from scipy.spatial import KDTree
 from clikgen.analysis import drawing
 from clikgen.analysis.drawing import COMMANDED, CONTACT, LAM, OBSTACLE, REGION, STYLE, TRACED
 from clikgen.runtime.controller import CompiledController
-from clikgen.runtime.documents import write_atomically
+from clikgen.runtime.documents import BadInput, choices, write_atomically
 from clikgen.runtime.simulation import Rollout
 
 Array = NDArray[np.float64]
@@ -34,6 +37,7 @@ DPI = 100
 FRAME_TIME = 80  # [ms]
 LAST_FRAME_TIME = 1500  # [ms] before it starts again
 COLOURS = 255
+FILMS = (".gif", ".mp4")
 _FIVE_BITS = np.array([1 << 10, 1 << 5, 1], dtype=np.uint16)
 _BUCKETS = 8 * np.stack(np.unravel_index(np.arange(1 << 15), (32, 32, 32)), axis=1) + 4  # middles, (32768, 3)
 _TARGET: dict[str, Any] = {"color": COMMANDED, "marker": "o", "markersize": 5.0, "markerfacecolor": "white"}
@@ -86,17 +90,17 @@ def animate(
     frames: int = 90,
     progress: Callable[[str], None] = drawing.ignore,
 ) -> None:
-    """Write a GIF of `frames` (2 or more) even moments of the rollouts, the whole file or none.
+    """Write a film (.gif or .mp4) of `frames` (2 or more) even moments of the rollouts, the whole file or none.
 
     `rollouts` maps the number of a case to its rollout: one scenario on `controller`, cases in order. Raises
-    BadInput for a rollout that diverged or has a few steps only, and when the folder cannot be written to.
+    BadInput for a rollout that diverged or has a few steps only, and where `write_film` does.
     """
+    check_film(path)
     drawing.require_drawable(rollouts)
     progress(str(path))
     with mpl.rc_context(STYLE):
         figure, panels, clock = _stage(rollouts, controller, frames)
-        content = _gif(_painter(figure, panels, clock), len(panels[0].steps))
-    write_atomically(path, content)
+        write_film(path, _painter(figure, panels, clock), len(panels[0].steps))
 
 
 def _stage(
@@ -148,7 +152,7 @@ def _panel(
     scene, velocity, lam = places
     extent.apply(scene)
     scene.set(xlabel="$x$ [m]", ylabel="$y$ [m]")
-    scene.set_title(f"Case {rollout.case.number}: {rollout.case.title}", loc="left", fontweight="bold")
+    scene.set_title(f"Case {rollout.case.number}: {rollout.title}", loc="left", fontweight="bold")
     scene.plot(*rollout.reference[:, :2].T, color=COMMANDED, linestyle=(0, (5, 3)), linewidth=1.0)
     _velocities(velocity, rollouts, rollout)
     _lam(lam, rollout)
@@ -247,6 +251,43 @@ def _painter(figure: Figure, panels: Sequence[_Panel], clock: Text) -> Callable[
         return np.asarray(canvas.buffer_rgba())[..., :3].copy()
 
     return paint
+
+
+def check_film(path: Path) -> None:
+    """Raises BadInput for a film that cannot be written: another ending than those of FILMS, or .mp4 without ffmpeg."""
+    ending = path.suffix.lower()
+    if ending not in FILMS:
+        raise BadInput(f"{path}: no film ends in '{path.suffix}'; {choices(ending, FILMS)}")
+    if ending == ".mp4" and not FFMpegWriter.isAvailable():
+        raise BadInput(f"{path}: .mp4 needs the program 'ffmpeg': install it, or write a .gif")
+
+
+def write_film(path: Path, paint: Callable[[int], Pixels], frames: int) -> None:
+    """Write frames 0 .. `frames` - 1 as a GIF that repeats or an MP4, as the file ends; the whole file or none.
+
+    Raises BadInput where `check_film` does, when ffmpeg fails, and when the folder cannot be written to.
+    """
+    check_film(path)
+    write_atomically(path, {".gif": _gif, ".mp4": _mp4}[path.suffix.lower()](paint, frames))
+
+
+def _mp4(paint: Callable[[int], Pixels], frames: int) -> bytes:
+    """All frames as an MP4, the last one held: a figure that shows nothing but the image of a frame."""
+    image = paint(0)
+    figure = Figure(figsize=(image.shape[1] / DPI, image.shape[0] / DPI), dpi=DPI)
+    FigureCanvasAgg(figure)
+    shown = figure.figimage(image)
+    writer = FFMpegWriter(fps=round(1000 / FRAME_TIME))
+    with TemporaryDirectory() as folder:
+        file = Path(folder) / "film.mp4"
+        try:
+            with writer.saving(figure, str(file), DPI):
+                for frame in [*range(frames), *[frames - 1] * (LAST_FRAME_TIME // FRAME_TIME)]:
+                    shown.set_data(paint(frame))
+                    writer.grab_frame()
+            return file.read_bytes()
+        except (OSError, subprocess.CalledProcessError) as error:
+            raise BadInput(f"ffmpeg failed: {error}") from None
 
 
 def _gif(paint: Callable[[int], Pixels], frames: int) -> bytes:

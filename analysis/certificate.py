@@ -160,7 +160,7 @@ def planar_chain(controller: CompiledController) -> PlanarChain | None:
     Checked at random configurations: columns of sliding joints, segments seen from their links, and angles.
     """
     manifest = controller.manifest
-    revolute = np.array([joint.type == "revolute" for joint in manifest.joints])
+    revolute = np.array([joint.unit == "rad" for joint in manifest.joints])
     if manifest.dimension != 2 or np.any(np.diff(revolute.astype(int)) < 0):
         return None
     n, first = len(revolute), int(np.count_nonzero(~revolute))
@@ -170,7 +170,8 @@ def planar_chain(controller: CompiledController) -> PlanarChain | None:
     acting = np.flatnonzero(np.abs(J).max(axis=(0, 1)) > CONSTANT)
     turning = slice(first, max(first, 1 + max(acting, default=-1)))
     where = controller.kinematics.map(len(q), {"q": q})
-    pose, tip = where["link_pose"], where[f"{manifest.tracking_task().name}_position"]
+    pose = where["link_pose"][:, list(manifest.joint_links)]
+    tip = where[f"{manifest.tracking_task().name}_position"]
     corners = np.concatenate([pose[:, turning, :2, 3], tip[:, None]], axis=1)
     rotation = pose[:, turning, :2, :2]
     segments = np.einsum("ckij,cki->ckj", rotation, np.diff(corners, axis=1))  # seen from their links
@@ -239,7 +240,7 @@ class _Boxes:
 
 
 def _joint_limits(manifest: Manifest) -> _Boxes:
-    limits = np.array([(joint.lower, joint.upper) for joint in manifest.joints])
+    limits = np.where(np.isinf(manifest.limits), [-np.pi, np.pi], manifest.limits)  # a continuous joint: one turn
     return _Boxes(limits.mean(axis=1)[None], np.diff(limits, axis=1)[:, 0] / 2)
 
 

@@ -118,20 +118,21 @@ def require_drawable(rollouts: Mapping[int, Rollout]) -> None:
 def poses(controller: CompiledController, rollout: Rollout, steps: Sequence[int]) -> Poses:
     """The robot of a rollout at the given steps."""
     manifest = controller.manifest
-    pose = np.empty((len(steps), len(manifest.joints), 3, 4))  # [R | p] of world_T_link
+    pose = np.empty((len(steps), len(manifest.links), 3, 4))  # [R | p] of world_T_link
     points, tip = np.empty((len(steps), len(manifest.points), 2)), np.empty((len(steps), 2))
     for i, k in enumerate(steps):
         outputs = controller.kinematics(q=rollout.q[k])
         pose[i], tip[i] = outputs["link_pose"], outputs[f"{rollout.tracked}_position"][:2]
         if manifest.points:
             points[i] = outputs["point_position"][:, :2]
-    revolute = [joint.type == "revolute" for joint in manifest.joints]
-    return Poses(_link_polygons(manifest, pose, tip), pose[..., :2, 3][:, revolute], points, tip)
+    moved = zip(manifest.joints, manifest.joint_links, strict=True)
+    turning = [link for joint, link in moved if joint.unit == "rad"]
+    return Poses(_link_polygons(manifest, pose, tip), pose[..., :2, 3][:, turning], points, tip)
 
 
 def _link_polygons(manifest: Manifest, pose: Array, tip: Array) -> tuple[Array, ...]:
     """The outlines of the links, (K, vertices, 2) each; bars from joint to joint where the spec has none."""
-    drawn = [(i, np.array(joint.outline)) for i, joint in enumerate(manifest.joints) if joint.outline]
+    drawn = [(i, np.array(link.outline)) for i, link in enumerate(manifest.links) if link.outline]
     if drawn:
         return tuple(outline @ pose[:, i, :2, :3].swapaxes(1, 2) + pose[:, i, None, :2, 3] for i, outline in drawn)
     corners = np.concatenate([pose[:, :, :2, 3], tip[:, None]], axis=1)  # (K, links + 1, 2)
@@ -214,7 +215,7 @@ def telling_joints(rollouts: Mapping[int, Rollout]) -> list[int]:
     joints = every[0].manifest.joints
     liveliest = int(np.argmax(variation(every[0])))
     jump = np.abs(np.diff(every[-1].dq, axis=0)).max(axis=0)
-    alike = [i for i, joint in enumerate(joints) if joint.type == joints[liveliest].type]
+    alike = [i for i, joint in enumerate(joints) if joint.unit == joints[liveliest].unit]
     return sorted({liveliest, max(alike, key=lambda i: float(jump[i]))})
 
 

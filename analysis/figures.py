@@ -32,7 +32,7 @@ DPI = 120
 ZOOM = 0.5  # [s] how much of a contact the zoomed axes show
 DOTS = 150  # samples in a zoomed axis that can be told apart as dots
 POSES = 6  # robot poses in a path figure
-KINDS = {"prismatic": "m", "revolute": "rad"}  # the joints that share axes, and their unit
+KINDS = {"m": "prismatic", "rad": "revolute"}  # the joints that share axes, by their unit
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -40,7 +40,7 @@ class _Shared:
     """What every case is drawn with, so that the cases compare at a glance."""
 
     window: slice  # the steps that the zoomed axes show
-    velocity: Mapping[str, tuple[float, float]]  # kind of joint -> range over the whole run
+    velocity: Mapping[str, tuple[float, float]]  # unit of a joint -> range over the whole run
     velocity_zoom: Mapping[str, tuple[float, float]]  # the same within the window
     position: tuple[tuple[float, float], ...]  # range per coordinate [m]
     position_span: tuple[float, ...]  # height of the zoomed axes per coordinate [m]
@@ -135,7 +135,7 @@ def _shared(rollouts: Mapping[int, Rollout], controller: CompiledController) -> 
     first = every[0]
     steps = np.linspace(0, len(first.t) - 1, POSES).astype(int).tolist()
     poses = {number: drawing.poses(controller, rollout, steps) for number, rollout in rollouts.items()}
-    kinds = {kind: _of_kind(first, kind) for kind in KINDS}
+    kinds = {unit: _in_unit(first, unit) for unit in KINDS}
     coordinates = range(first.reference.shape[1])
     errors = [_error(rollout) for rollout in every]
     influence = drawing.tracked_radius(first, next(iter(poses.values())))
@@ -144,8 +144,8 @@ def _shared(rollouts: Mapping[int, Rollout], controller: CompiledController) -> 
     span = drawing.value_range
     return _Shared(
         window=window,
-        velocity={kind: span([r.dq[:, which] for r in every]) for kind, which in kinds.items()},
-        velocity_zoom={kind: span([r.dq[window, which] for r in every]) for kind, which in kinds.items()},
+        velocity={unit: span([r.dq[:, which] for r in every]) for unit, which in kinds.items()},
+        velocity_zoom={unit: span([r.dq[window, which] for r in every]) for unit, which in kinds.items()},
         position=tuple(span([first.reference[:, i], *(r.position[:, i] for r in every)]) for i in coordinates),
         position_span=tuple(max(float(np.ptp(r.position[window, i])) for r in every) for i in coordinates),
         error=span([np.zeros(1), *errors]),
@@ -203,8 +203,8 @@ def _error(rollout: Rollout) -> Array:
     return norm
 
 
-def _of_kind(rollout: Rollout, kind: str) -> list[int]:
-    return [i for i, joint in enumerate(rollout.manifest.joints) if joint.type == kind]
+def _in_unit(rollout: Rollout, unit: str) -> list[int]:
+    return [i for i, joint in enumerate(rollout.manifest.joints) if joint.unit == unit]
 
 
 # Figures 2-4: what is commanded.
@@ -266,44 +266,44 @@ def _commanded_signal(rollout: Rollout, values: Array, symbol: str, unit: str, t
 
 def _joints(rollout: Rollout, shared: _Shared) -> Figure:
     """Joint positions and, below, joint velocities over time, with some contact enlarged."""
-    kinds = [kind for kind in KINDS if _of_kind(rollout, kind)]
-    rows = 2 * len(kinds)
+    units = [unit for unit in KINDS if _in_unit(rollout, unit)]
+    rows = 2 * len(units)
     figure = Figure(figsize=(10.0, 1.2 + 1.7 * rows), layout="constrained")
     grid = figure.add_gridspec(rows, 2, width_ratios=[2.0, 1.0])
-    for row, kind in enumerate(kinds):
-        _joint_positions(figure, grid, row, rollout, kind)
-        _joint_velocities(figure, grid, len(kinds) + row, rollout, kind, shared)
+    for row, unit in enumerate(units):
+        _joint_positions(figure, grid, row, rollout, unit)
+        _joint_velocities(figure, grid, len(units) + row, rollout, unit, shared)
     _title(figure, f"{_case(rollout)}: joint motion, {_switches(rollout)}")
     _legend(figure, [*_contact_entries([rollout]), _ENLARGED])
     return figure
 
 
-def _joint_positions(figure: Figure, grid: GridSpec, row: int, rollout: Rollout, kind: str) -> None:
-    """One row: positions of the joints of a kind, and their legend beside."""
+def _joint_positions(figure: Figure, grid: GridSpec, row: int, rollout: Rollout, unit: str) -> None:
+    """One row: positions of the joints in one unit, and their legend beside."""
     axes, beside = figure.add_subplot(grid[row, 0]), figure.add_subplot(grid[row, 1])
-    for i in _of_kind(rollout, kind):
+    for i in _in_unit(rollout, unit):
         axes.plot(rollout.t, rollout.q[:-1, i], color=drawing.joint_colour(i))
-    _label_value(axes, f"$q$ [{KINDS[kind]}]")
+    _label_value(axes, f"$q$ [{unit}]")
     drawing.shade(axes, drawing.encounter_times(rollout))
     _time_axis(axes, rollout.t, labelled=False)
     beside.axis("off")
-    entries = [_joint_entry(rollout, i) for i in _of_kind(rollout, kind)]
+    entries = [_joint_entry(rollout, i) for i in _in_unit(rollout, unit)]
     columns = 1 + len(entries) // 6
-    beside.legend(handles=entries, loc="center left", title=f"{kind} joints", alignment="left", ncols=columns)
+    beside.legend(handles=entries, loc="center left", title=f"{KINDS[unit]} joints", alignment="left", ncols=columns)
 
 
-def _joint_velocities(figure: Figure, grid: GridSpec, row: int, rollout: Rollout, kind: str, shared: _Shared) -> None:
-    """One row: velocities of the joints of a kind, over the whole run and in the window of contact."""
+def _joint_velocities(figure: Figure, grid: GridSpec, row: int, rollout: Rollout, unit: str, shared: _Shared) -> None:
+    """One row: velocities of the joints in one unit, over the whole run and in the window of contact."""
     last = row == grid.nrows - 1
     axes, zoom = figure.add_subplot(grid[row, 0]), figure.add_subplot(grid[row, 1])
-    for i in drawing.covering_first(rollout, _of_kind(rollout, kind)):
+    for i in drawing.covering_first(rollout, _in_unit(rollout, unit)):
         axes.plot(rollout.t, rollout.dq[:, i], color=drawing.joint_colour(i), linewidth=1.0)
         _draw_samples(zoom, rollout, rollout.dq[:, i], shared.window, drawing.joint_colour(i))
-    _label_value(axes, f"$\\dot{{q}}$ [{KINDS[kind]}/s]")
-    axes.set_ylim(shared.velocity[kind])
+    _label_value(axes, f"$\\dot{{q}}$ [{unit}/s]")
+    axes.set_ylim(shared.velocity[unit])
     drawing.shade(axes, drawing.encounter_times(rollout))
     _time_axis(axes, rollout.t, labelled=last)
-    _enlarge(axes, zoom, rollout, shared.window, shared.velocity_zoom[kind], labelled=last)
+    _enlarge(axes, zoom, rollout, shared.window, shared.velocity_zoom[unit], labelled=last)
 
 
 # Figures 7, 10, 13: the end effector over time.
@@ -426,7 +426,7 @@ def _overview_path(axes: Axes, rollout: Rollout, shared: _Shared) -> None:
     _plane(axes, rollout, shared.paths)
     _label_value(axes, "$y$ [m]")
     fact = f"{_switches(rollout)}\ntracking error {metrics(rollout).tracking_rms:.3f} m rms"
-    axes.set_title(f"Case {rollout.case.number}: {rollout.case.title}", fontweight="bold", fontsize=11.5, pad=34)
+    axes.set_title(f"Case {rollout.case.number}: {rollout.title}", fontweight="bold", fontsize=11.5, pad=34)
     axes.annotate(fact, (0.5, 1.0), (0, 8), "axes fraction", "offset points", ha="center")
 
 
@@ -438,10 +438,10 @@ def _overview_velocity(whole: Axes, zoom: Axes, rollout: Rollout, joints: Sequen
         _draw_samples(zoom, rollout, rollout.dq[:, i], shared.window, drawing.joint_colour(i))
     for axes, name in ((whole, "velocity"), (zoom, "enlarged")):
         _label_value(axes, f"{name} [{info.unit}/s]")
-    whole.set_ylim(shared.velocity[info.type])
+    whole.set_ylim(shared.velocity[info.unit])
     drawing.shade(whole, drawing.encounter_times(rollout))
     _time_axis(whole, rollout.t, labelled=True)
-    _enlarge(whole, zoom, rollout, shared.window, shared.velocity_zoom[info.type], labelled=True)
+    _enlarge(whole, zoom, rollout, shared.window, shared.velocity_zoom[info.unit], labelled=True)
 
 
 # Pieces that several figures are made of.
@@ -476,7 +476,7 @@ def _contact_entries(rollouts: Iterable[Rollout]) -> list[Artist]:
 
 
 def _case(rollout: Rollout) -> str:
-    return f"Case {rollout.case.number} ({rollout.case.title})"
+    return f"Case {rollout.case.number} ({rollout.title})"
 
 
 def _switches(rollout: Rollout) -> str:

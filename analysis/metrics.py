@@ -141,9 +141,8 @@ def hf_rms_by_joint(rollout: Rollout) -> dict[str, float]:
 def outside_limits(rollout: Rollout) -> list[str]:
     """Joints that leave their position or velocity limits, which the law of the paper does not know."""
     joints = rollout.manifest.joints
-    lower, upper, fastest = (
-        np.array([getattr(joint, limit) for joint in joints]) for limit in ("lower", "upper", "velocity")
-    )
+    lower, upper = rollout.manifest.limits.T
+    fastest = np.array([np.inf if joint.velocity is None else joint.velocity for joint in joints])
     beyond: Sequence[bool] = np.any((rollout.q < lower) | (rollout.q > upper), axis=0) | np.any(
         np.abs(rollout.dq) > fastest, axis=0
     )

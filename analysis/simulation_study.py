@@ -20,7 +20,7 @@ def simulation_study(controller: CompiledController, rollouts: Mapping[int, Roll
     measured = {number: metrics(rollout) for number, rollout in rollouts.items()}
     first = rollouts[1]
     verdicts = [
-        f"Case {number}, {rollouts[number].case.title}: {m.switches} switches, hf_rms {m.hf_rms:.3g}, "
+        f"Case {number}, {rollouts[number].title}: {m.switches} switches, hf_rms {m.hf_rms:.3g}, "
         f"tracking error {m.tracking_rms:.3g} m RMS"
         + ("." if m.min_clearance is None else f", intrusion of at most {max(0.0, -1e3 * m.min_clearance):.2g} mm.")
         for number, m in measured.items()

@@ -39,7 +39,7 @@ def simulation_document(rollouts: Mapping[int, Rollout], timings: Mapping[int, T
         "units": UNITS,
         "cases": {
             str(number): {
-                "title": rollout.case.title,
+                "title": rollout.title,
                 **metrics(rollout).as_dict(),
                 "hf_rms_by_joint": hf_rms_by_joint(rollout),
                 "outside_limits": outside_limits(rollout),
@@ -57,7 +57,7 @@ def metrics_table(rollouts: Mapping[int, Rollout]) -> tuple[str, list[str], list
     """Title, column heads and rows: a metric a row, a case a column."""
     first = next(iter(rollouts.values()))
     measured = {number: metrics(rollout).as_dict() for number, rollout in rollouts.items()}
-    heads = [f"case {number}: {rollout.case.title}" for number, rollout in rollouts.items()]
+    heads = [f"case {number}: {rollout.title}" for number, rollout in rollouts.items()]
     rows = [[name, *(_figure(measured[number][name]) for number in rollouts), unit] for name, unit in UNITS.items()]
     rows.append(["outside limits", *(", ".join(outside_limits(rollout)) or "-" for rollout in rollouts.values()), ""])
     lost = {number: rollout.diverged for number, rollout in rollouts.items()}

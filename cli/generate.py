@@ -21,19 +21,21 @@ def command(
     from clikgen.cli.terminal import messages, print_json, progress_bar
     from clikgen.runtime.documents import BadInput
     from clikgen.symbolic.generate import difference, generate_file, shipped_folder
-    from clikgen.symbolic.spec import ControllerSpec, shipped_specs
+    from clikgen.symbolic.spec import shipped_specs, spec_schema
 
     if schema:
-        print_json(ControllerSpec.model_json_schema())
+        print_json(spec_schema())
         return 0
     folder = out or (Path("generated") if specs else shipped_folder())
     controllers: dict[str, dict[str, str]] = {}
     with progress_bar() as progress:
         for path in progress.track(specs or shipped_specs(), description="generating"):
-            name, files = generate_file(path)
-            if name in controllers:
-                raise BadInput(f"{path}: name: another spec is called '{name}' too")
-            controllers[name] = files
+            made = generate_file(path)
+            if made.name in controllers:
+                raise BadInput(f"{path}: name: another spec is called '{made.name}' too")
+            controllers[made.name] = made.files
+            for note in made.notes:
+                messages.print(f"{path}: note: {note}")
     change = difference(controllers, folder, complete=not specs)
     if check:
         print(change.unified(), end="")

@@ -6,7 +6,7 @@ from typing import NoReturn
 
 import typer
 
-from clikgen.cli import analyse, demo, doctor, generate, listing, simulate
+from clikgen.cli import analyse, demo, doctor, generate, inspect, listing, new, simulate, view
 from clikgen.runtime.documents import BadInput
 
 app = typer.Typer(
@@ -18,7 +18,10 @@ app = typer.Typer(
 )
 app.command("demo")(demo.command)
 app.command("generate")(generate.command)
+app.command("inspect")(inspect.command)
+app.command("new")(new.command)
 app.command("simulate")(simulate.command)
+app.command("view")(view.command)
 app.add_typer(analyse.app, name="analyse")
 app.command("list")(listing.command)
 app.command("doctor")(doctor.command)

@@ -17,6 +17,9 @@ from clikgen.runtime.documents import BadInput, Document, Number, choices, read_
 
 FAR = 1e6  # [m] the distance reported where there is no obstacle
 
+Space = Literal["vector", "rotation"]
+"""Where a reference lives: coordinates, or the orientations of a frame."""
+
 Role = Literal["state", "signal", "parameter", "command", "diagnostic"]
 """What the loop does with a signal.
 
@@ -99,17 +102,45 @@ class FunctionInfo(Document):
         raise BadInput(f"{self.symbol}: no input '{name}'; {choices(name, (signal.name for signal in self.inputs))}")
 
 
+Vector = tuple[Number, Number, Number]
+
+
 class JointInfo(Document):
-    """A joint: its coordinate q_i in `unit`, its limits [unit] and velocity limit [unit/s]."""
+    """A joint with a coordinate q_i in `unit`: its limits [unit] and velocity limit [unit/s], None for none."""
 
     name: str
-    type: Literal["prismatic", "revolute"]
+    type: Literal["prismatic", "revolute", "continuous"]
     unit: Literal["m", "rad"]
     link: str
-    lower: Number
-    upper: Number
-    velocity: Number
-    outline: tuple[tuple[Number, Number, Number], ...]
+    lower: Number | None = None
+    upper: Number | None = None
+    velocity: Number | None = None
+
+
+class InputInfo(Document):
+    """A velocity that the controller commands, and its limit [unit/s]: of a joint, or of a differential drive."""
+
+    name: str
+    unit: Literal["m", "rad"]
+    velocity: Number | None = None
+
+
+class LinkInfo(Document):
+    """A link, in the order of `link_pose`, the link that carries it, and its outline [m] in its own frame."""
+
+    name: str
+    parent: str
+    outline: tuple[Vector, ...] = ()
+
+
+class BodyInfo(Document):
+    """A ball or capsule of a link: where its axis starts and ends [m] in the link's frame, and its radius [m]."""
+
+    name: str
+    link: str
+    start: Vector
+    end: Vector
+    radius: Number
 
 
 class PointInfo(Document):
@@ -117,16 +148,33 @@ class PointInfo(Document):
 
     name: str
     link: str
-    offset: tuple[Number, Number, Number]
+    offset: Vector
 
 
 class TaskInfo(Document):
-    """A task, in priority order: its kind and, for a tracking task, the frame and its dimension."""
+    """A task, in priority order: its kind, its number of rows, and whether it `tracks` a position in the world.
+
+    One that does has the outputs `<name>_position` and `<name>_error` and the reference `<name>`, in metres.
+    """
 
     name: str
     kind: str
     equality: bool
     dimension: int
+    tracks: bool = False
+
+
+class ReferenceInfo(Document):
+    """What a task follows: the inputs `<name>_reference` and `<name>_reference_velocity` of the step.
+
+    `dimension` coordinates in a `vector` space; in a `rotation` space a quaternion (4,) and ω (3,) [rad/s].
+    """
+
+    name: str
+    task: str
+    space: Space
+    dimension: int
+    required: bool
 
 
 class Manifest(Document):
@@ -140,23 +188,43 @@ class Manifest(Document):
     source_sha256: dict[str, str]
     dimension: Literal[2, 3]
     joints: tuple[JointInfo, ...]
+    inputs: tuple[InputInfo, ...]
+    links: tuple[LinkInfo, ...]
     points: tuple[PointInfo, ...]
+    bodies: tuple[BodyInfo, ...]
     obstacles: int
+    capsules: int
+    half_spaces: int
     tasks: tuple[TaskInfo, ...]
+    references: tuple[ReferenceInfo, ...]
     law: str
+    velocity_limits: str | None = None
     filter: str
     functions: tuple[FunctionInfo, ...]
 
     @property
+    def limits(self) -> NDArray[np.float64]:
+        """Lower and upper limit of every joint, infinite where there is none, (n, 2)."""
+        ends = [(joint.lower, joint.upper) for joint in self.joints]
+        return np.array([(-np.inf if low is None else low, np.inf if high is None else high) for low, high in ends])
+
+    @property
+    def joint_links(self) -> tuple[int, ...]:
+        """Where the link that each joint moves stands among the links, (n,)."""
+        names = [link.name for link in self.links]
+        return tuple(names.index(joint.link) for joint in self.joints)
+
+    @property
     def tracking_tasks(self) -> tuple[TaskInfo, ...]:
-        """The tasks that follow a reference, the highest priority first."""
-        return tuple(task for task in self.tasks if task.equality)
+        """The tasks by which a frame's position follows a reference, the highest priority first."""
+        return tuple(task for task in self.tasks if task.tracks)
 
     def tracking_task(self) -> TaskInfo:
-        """The tracking task of the highest priority; raises BadInput without one."""
-        if not self.tracking_tasks:
-            raise BadInput(f"{self.controller}: wanted a tracking task, got none")
-        return self.tracking_tasks[0]
+        """The tracking task of the highest priority that is a position alone; raises BadInput without one."""
+        for task in self.tracking_tasks:
+            if task.kind == "frame_position":
+                return task
+        raise BadInput(f"{self.controller}: wanted a task of kind frame_position, got none")
 
     def function(self, name: str) -> FunctionInfo:
         """The generated function called `name` (kinematics, jacobians, step)."""

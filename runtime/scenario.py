@@ -1,5 +1,6 @@
 """A scenario: what a controller is asked to do, from a TOML file."""
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from importlib import resources
@@ -28,7 +29,7 @@ class Case:
     """One of the paper's cases: λ while no influence region meets an obstacle, and while one does."""
 
     number: int
-    title: str
+    title: str  # with a place for the law's name
     lam_free: float
     lam_event: float
 
@@ -36,9 +37,9 @@ class Case:
 CASES = {
     case.number: case
     for case in (
-        Case(1, "NSB alone", 0.0, 0.0),
-        Case(2, "NSB + filter", 1.0, 1.0),
-        Case(3, "NSB + filter + planner", 0.0, 1.0),
+        Case(1, "{law} alone", 0.0, 0.0),
+        Case(2, "{law} + filter", 1.0, 1.0),
+        Case(3, "{law} + filter + planner", 0.0, 1.0),
     )
 }
 
@@ -62,6 +63,27 @@ class Obstacle(Document):
         return self.path or Fixed(kind="fixed", position=self.center or ())
 
 
+class Capsule(Document):
+    """All points within `radius` [m] of the segment from `start` to `end` [m]; it stays where it is."""
+
+    start: tuple[Number, ...]
+    end: tuple[Number, ...]
+    radius: NonNegative = 0.0
+
+
+class HalfSpace(Document):
+    """All points p with normalᵀp <= offset [m]: a wall, a floor or a ceiling."""
+
+    normal: tuple[Number, ...]
+    offset: Number
+
+    @model_validator(mode="after")
+    def _normal_is_a_unit_vector(self) -> Self:
+        if not math.isclose(math.hypot(*self.normal), 1.0, abs_tol=1e-9):
+            raise ValueError(f"wanted normal to be a unit vector, got {list(self.normal)}")
+        return self
+
+
 class MetricSettings(Document):
     """What the metrics are measured with: the lowest frequency that counts as chatter, and a dead-band."""
 
@@ -80,6 +102,8 @@ class Scenario(Document):
     parameters: Mapping[str, Any] = {}
     references: Mapping[str, AnyTrajectory] = {}
     obstacles: tuple[Obstacle, ...] = ()
+    capsules: tuple[Capsule, ...] = ()
+    half_spaces: tuple[HalfSpace, ...] = ()
     metrics: MetricSettings = MetricSettings()
 
 
@@ -134,29 +158,53 @@ def _put(data: dict[str, Any], key: str, value: Any) -> None:
 
 def check_against(scenario: Scenario, manifest: Manifest, source: str) -> None:
     """Raises BadInput where the scenario does not fit its controller."""
-    n, dimension = len(manifest.joints), manifest.dimension
+    n = len(manifest.joints)
     if len(scenario.q0) != n:
         raise BadInput(f"{source}: q0: wanted {n} numbers for {manifest.controller}, got {len(scenario.q0)}")
-    if len(scenario.obstacles) > manifest.obstacles:
-        raise BadInput(
-            f"{source}: obstacles: wanted at most {manifest.obstacles} for {manifest.controller}, "
-            f"got {len(scenario.obstacles)}"
-        )
-    tracking = [task.name for task in manifest.tracking_tasks]
-    for name in scenario.references:
-        if name not in tracking:
-            raise BadInput(f"{source}: references: no tracking task '{name}'; {choices(name, tracking)}")
-    for name in tracking:
-        if name not in scenario.references:
-            raise BadInput(f"{source}: references.{name}: missing; task '{name}' wants a reference")
-    motions: dict[str, Trajectory] = {f"references.{name}": motion for name, motion in scenario.references.items()}
-    motions |= {f"obstacles.{i}": obstacle.motion for i, obstacle in enumerate(scenario.obstacles)}
-    for key, motion in motions.items():
-        if motion.dimension != dimension:
-            raise BadInput(f"{source}: {key}: wanted {dimension} coordinates, got {motion.dimension}")
+    _check_references(scenario, manifest, source)
+    _check_obstacles(scenario, manifest, source)
     step = manifest.function("step")
     parameters = {signal.name: signal for signal in step.inputs if signal.role == "parameter"}
     for name, value in scenario.parameters.items():
         if name not in parameters:
             raise BadInput(f"{source}: parameters: no parameter '{name}'; {choices(name, parameters)}")
         parameters[name].value(value, f"{source}: parameters.{name}")
+
+
+def _check_references(scenario: Scenario, manifest: Manifest, source: str) -> None:
+    references = {reference.name: reference for reference in manifest.references}
+    for name, motion in scenario.references.items():
+        if name not in references:
+            raise BadInput(f"{source}: references: no reference '{name}'; {choices(name, references)}")
+        wanted = references[name]
+        if motion.space != wanted.space:
+            raise BadInput(
+                f"{source}: references.{name}: wanted a {wanted.space}, got the {motion.space} '{motion.kind}'"
+            )
+        if motion.dimension != wanted.dimension:
+            raise BadInput(
+                f"{source}: references.{name}: wanted {wanted.dimension} coordinates, got {motion.dimension}"
+            )
+    for reference in manifest.references:
+        if reference.required and reference.name not in scenario.references:
+            raise BadInput(f"{source}: references.{reference.name}: missing; task '{reference.task}' wants a reference")
+
+
+def _check_obstacles(scenario: Scenario, manifest: Manifest, source: str) -> None:
+    for key, got, most in (
+        ("obstacles", len(scenario.obstacles), manifest.obstacles),
+        ("capsules", len(scenario.capsules), manifest.capsules),
+        ("half_spaces", len(scenario.half_spaces), manifest.half_spaces),
+    ):
+        if got > most:
+            raise BadInput(f"{source}: {key}: wanted at most {most} for {manifest.controller}, got {got}")
+    places = {f"obstacles.{i}": one.motion.dimension for i, one in enumerate(scenario.obstacles)}
+    for i, obstacle in enumerate(scenario.obstacles):
+        if obstacle.motion.space != "vector":
+            raise BadInput(f"{source}: obstacles.{i}.path: wanted positions, got the rotation '{obstacle.motion.kind}'")
+    for i, capsule in enumerate(scenario.capsules):
+        places |= {f"capsules.{i}.start": len(capsule.start), f"capsules.{i}.end": len(capsule.end)}
+    places |= {f"half_spaces.{i}.normal": len(wall.normal) for i, wall in enumerate(scenario.half_spaces)}
+    for key, dimension in places.items():
+        if dimension != manifest.dimension:
+            raise BadInput(f"{source}: {key}: wanted {manifest.dimension} coordinates, got {dimension}")

@@ -5,7 +5,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from clikgen.runtime.controller import CompiledController
 from clikgen.runtime.documents import BadInput
@@ -39,6 +39,12 @@ class Rollout:
     reference_velocity: Array
     obstacle_center: Array
     obstacle_radius: Array
+
+    @property
+    def title(self) -> str:
+        """What the case does with the law, as in "NSB + filter"."""
+        law = self.manifest.law
+        return self.case.title.format(law="NSB" if law == "nsb" else f"{law} law")
 
     @property
     def q(self) -> Array:
@@ -162,14 +168,40 @@ def prepare(controller: CompiledController, scenario: Scenario, case: Case, sour
     t = period * np.arange(steps, dtype=np.float64)
     for name, reference in scenario.references.items():
         values[f"{name}_reference"], values[f"{name}_reference_velocity"] = reference.sample(t)
+    values |= _obstacles(scenario, manifest, t)
+    return Run(controller, scenario, case, steps, period, values)
+
+
+def _obstacles(scenario: Scenario, manifest: Manifest, t: Array) -> dict[str, Array]:
+    """Where the obstacles are over time, as the step wants them: unused places stay zero."""
+    values: dict[str, Array] = {}
     if scenario.obstacles:
-        center = np.zeros((steps, manifest.obstacles, manifest.dimension))
+        center = np.zeros((t.size, manifest.obstacles, manifest.dimension))
         radius = np.zeros(manifest.obstacles)
         for i, obstacle in enumerate(scenario.obstacles):
             center[:, i], radius[i] = obstacle.motion.sample(t)[0], obstacle.radius
+        values |= {"obstacle_center": center, "obstacle_radius": radius}
+        values["obstacle_count"] = np.array(float(len(scenario.obstacles)))
+    if scenario.capsules:
         values |= {
-            "obstacle_center": center,
-            "obstacle_radius": radius,
-            "obstacle_count": np.array(float(len(scenario.obstacles))),
+            "capsule_start": _filled([one.start for one in scenario.capsules], (manifest.capsules, manifest.dimension)),
+            "capsule_end": _filled([one.end for one in scenario.capsules], (manifest.capsules, manifest.dimension)),
+            "capsule_radius": _filled([one.radius for one in scenario.capsules], (manifest.capsules,)),
+            "capsule_count": np.array(float(len(scenario.capsules))),
         }
-    return Run(controller, scenario, case, steps, period, values)
+    if scenario.half_spaces:
+        shape = (manifest.half_spaces, manifest.dimension)
+        values |= {
+            "half_space_normal": _filled([one.normal for one in scenario.half_spaces], shape),
+            "half_space_offset": _filled([one.offset for one in scenario.half_spaces], shape[:1]),
+            "half_space_count": np.array(float(len(scenario.half_spaces))),
+        }
+    return values
+
+
+def _filled(rows: ArrayLike, shape: tuple[int, ...]) -> Array:
+    """The rows at the start of zeros of `shape`."""
+    array = np.zeros(shape)
+    given = np.asarray(rows, dtype=np.float64)
+    array[: len(given)] = given
+    return array

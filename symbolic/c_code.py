@@ -51,7 +51,7 @@ def header(controller: Controller, functions: Sequence[FunctionInfo]) -> str:
         " * Arrays are row-major. Any finite input within the limits below gives finite output.\n"
         " */\n\n"
         f"#ifndef {guard}\n#define {guard}\n\n"
-        f"#define {spec.name.upper()}_JOINTS {len(spec.robot.joints)}\n"
+        f"#define {spec.name.upper()}_JOINTS {len(spec.robot.coordinates)}\n"
         f"#define {spec.name.upper()}_POINTS_OF_INTEREST {len(spec.robot.points_of_interest)}\n"
         f"#define {spec.name.upper()}_OBSTACLES {spec.obstacles.maximum}\n\n"
         '#ifdef __cplusplus\nextern "C" {\n#endif\n\n'
@@ -88,7 +88,7 @@ def _struct(name: str, signals: Sequence[SignalInfo]) -> str:
 def _field(signal: SignalInfo) -> str:
     """One member, with shape in its declaration and meaning, unit, default and limits in its comment."""
     extent = "".join(f"[{length}]" for length in signal.shape)
-    note = f"{signal.description} [{signal.unit}]"
+    note = _comment(f"{signal.description} [{signal.unit}]")
     if signal.role == "parameter":
         values = ", ".join(f"{value:g}" for value in sorted(set(signal.default)))
         note += f"; default {values if len(set(signal.default)) == 1 else _listed(signal.default)}"

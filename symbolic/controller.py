@@ -1,18 +1,18 @@
 """A controller spec as CasADi functions: kinematics, Jacobians and the step of the fixed-rate loop."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib import import_module
 
 import casadi as ca
 
 from clikgen.runtime.documents import BadInput
 from clikgen.symbolic import laws
-from clikgen.symbolic.chain import SerialChain
 from clikgen.symbolic.obstacles import Obstacles, Sensing
 from clikgen.symbolic.signals import Signal, result, symbol
 from clikgen.symbolic.spec import ControllerSpec
 from clikgen.symbolic.task import Task
+from clikgen.symbolic.tree import KinematicTree
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -32,6 +32,7 @@ class Controller:
 
     spec: ControllerSpec
     functions: tuple[ControllerFunction, ...]
+    tasks: tuple[Task, ...]
 
     def function(self, name: str) -> ca.Function:
         """The CasADi function called `name`."""
@@ -40,50 +41,53 @@ class Controller:
 
 def build(spec: ControllerSpec) -> Controller:
     """All functions of a controller; raises BadInput when a task asks for what the robot does not have."""
-    joints = spec.robot.joints
+    coordinates = spec.robot.coordinates
     q = symbol(
         "q",
-        (len(joints),),
-        ", ".join(joint.unit for joint in joints),
-        "joint position: " + ", ".join(joint.name for joint in joints),
+        (len(coordinates),),
+        ", ".join(joint.unit for joint in coordinates),
+        "joint position: " + ", ".join(joint.name for joint in coordinates),
         "state",
         (-1e6, 1e6),
     )
-    chain = SerialChain.at(spec.robot, q.expression)
-    points = spec.robot.points_of_interest
+    tree = KinematicTree.at(spec.robot, q.expression)
     sensing = (
-        Sensing.of(chain, Obstacles.up_to(spec.obstacles.maximum, spec.robot.dimension))
-        if points and spec.obstacles.maximum
+        Sensing.of(tree, Obstacles.up_to(spec.obstacles, spec.robot.dimension))
+        if spec.robot.points_of_interest and spec.obstacles.any
         else None
     )
-    tasks = [task.build(chain, sensing) for task in spec.tasks]
-    inputs, outputs = _step(spec, q, sensing, tasks)
+    built = ((task, task.build(tree, sensing)) for task in spec.tasks)
+    tasks = [one.limited(task.speed) if task.speed else one for task, one in built]
+    inputs, outputs = _step(spec, tree, q, sensing, tasks)
     return Controller(
         spec,
         (
-            _function(spec, "kinematics", "where everything is at q", inputs, _positions(chain, tasks)),
-            _function(spec, "jacobians", "how everything moves with q̇ at q", inputs, _jacobians(chain, tasks)),
+            _function(spec, "kinematics", "where everything is at q", inputs, _positions(tree, tasks)),
+            _function(spec, "jacobians", "how everything moves with q̇ at q", inputs, _jacobians(tree, tasks)),
             _function(spec, "step", "one period of the loop (eqs. 4-19)", inputs, outputs),
         ),
+        tuple(tasks),
     )
 
 
 def _step(
-    spec: ControllerSpec, q: Signal, sensing: Sensing | None, tasks: Sequence[Task]
+    spec: ControllerSpec, tree: KinematicTree, q: Signal, sensing: Sensing | None, tasks: Sequence[Task]
 ) -> tuple[list[Signal], list[Signal]]:
-    """Law (eq. 11), Euler step (eq. 13), filter (eq. 16), planner (eq. 17): all inputs, all outputs."""
+    """Law (eq. 11), limits, Euler step (eq. 13), filter (eq. 16), planner (eq. 17): all inputs, all outputs."""
     period = symbol("period", (), "s", "sampling time T", "parameter", (1e-6, 10.0), spec.period)
-    dq_law = import_module(f"{laws.__name__}.{spec.law}").combine(tasks)
+    u, limit_inputs = _velocity(spec, tree, tasks)
+    dq_law = tree.velocity_map() @ u
     q_raw = q.expression + period.expression * dq_law  # eq. 13
-    q_filtered, filter_inputs = spec.filter.build(q_raw, q.expression, period.expression)
+    q_filtered, filter_inputs = spec.filter.build(q_raw, q.expression, period.expression, spec.robot.input_of)
     event = sensing.event if sensing else ca.SX(0)
     q_next, lam, planner_inputs = spec.planner.build(q_filtered, q_raw, event)
     dq = (q_next - q.expression) / period.expression
 
-    n, rate = q.info.shape, ", ".join(f"{joint.unit}/s" for joint in spec.robot.joints)
+    n, rate = q.info.shape, ", ".join(f"{joint.unit}/s" for joint in spec.robot.coordinates)
     outputs = [
         result("q_next", q_next, n, q.info.unit, "joint position one period on (eq. 19)", "state", feeds="q"),
         result("dq", dq, n, rate, "joint velocity that leads there, (q_next − q)/T", "command"),
+        *_drive(tree, dq),
         result("dq_law", dq_law, n, rate, "joint velocity of the law alone (eq. 11)"),
         *(signal for task in tasks for signal in task.diagnostics),
         result("lam", lam, (), "1", "λ, the share of the filter (eq. 17)"),
@@ -97,30 +101,52 @@ def _step(
             result("distance", sensing.distance, points, "m", "d, each point to its closest obstacle"),
             result("clearance", sensing.clearance, (), "m", "least d − s; negative is intrusion"),
         ]
-    return [*inputs, *filter_inputs, *planner_inputs, period], outputs
+    return [*inputs, *limit_inputs, *filter_inputs, *planner_inputs, period], outputs
 
 
-def _positions(chain: SerialChain, tasks: Sequence[Task]) -> list[Signal]:
-    """Task frames, points of interest, and the pose of every link as the rows [R | p] of world_T_link."""
-    outputs = [signal for task in tasks for signal in task.positions]
-    points = chain.robot.points_of_interest
+def _velocity(spec: ControllerSpec, tree: KinematicTree, tasks: Sequence[Task]) -> tuple[ca.SX, list[Signal]]:
+    """The law's input velocity u (n_u, 1), q̇ = S(q) u, within its limits; and the inputs the limits need."""
+    if spec.robot.drive:
+        tasks = [replace(task, jacobian=task.jacobian @ tree.velocity_map()) for task in tasks]
+    u = import_module(f"{laws.__name__}.{spec.law}").combine(tasks)
+    if spec.velocity_limits is None:
+        return u, []
+    u, limit = spec.velocity_limits.build(spec.robot, u)
+    return u, [limit]
+
+
+def _drive(tree: KinematicTree, dq: ca.SX) -> list[Signal]:
+    """What a differential drive is commanded: its forward and turning velocity, from q̇ = S(q) u."""
+    drive = tree.robot.drive
+    if drive is None:
+        return []
+    x, y, yaw = (tree.robot.coordinate(name) for name in (drive.x, drive.y, drive.yaw))
+    forward = ca.cos(tree.q[yaw]) * dq[x] + ca.sin(tree.q[yaw]) * dq[y]
+    text = "forward and turning velocity of the base"
+    return [result("base_velocity", ca.vertcat(forward, dq[yaw]), (2,), "m/s, rad/s", text, "command")]
+
+
+def _positions(tree: KinematicTree, tasks: Sequence[Task]) -> list[Signal]:
+    """Task values, points of interest, and the pose of every link as the rows [R | p] of world_T_link."""
+    outputs = [signal for task in tasks for signal in task.values]
+    points = tree.robot.points_of_interest
     if points:
-        places = ca.vertcat(*(chain.position(point.link, point.offset).T for point in points))
-        shape = (len(points), chain.robot.dimension)
+        places = ca.vertcat(*(tree.position(point.link, point.offset).T for point in points))
+        shape = (len(points), tree.robot.dimension)
         outputs.append(result("point_position", places, shape, "m", "r of every point of interest"))
-    poses = [chain.poses[joint.link] for joint in chain.robot.joints]
+    poses = [tree.poses[joint.link] for joint in tree.robot.joints]
     rows = ca.vertcat(*(ca.horzcat(pose.rotation, pose.position) for pose in poses))
     pose_shape = (len(poses), 3, 4)
     return [*outputs, result("link_pose", rows, pose_shape, "1, m", "rows [R | p] of world_T_link, per link")]
 
 
-def _jacobians(chain: SerialChain, tasks: Sequence[Task]) -> list[Signal]:
+def _jacobians(tree: KinematicTree, tasks: Sequence[Task]) -> list[Signal]:
     """∂(task)/∂q for every task, ∂r/∂q for every point of interest."""
     outputs = [signal for task in tasks for signal in task.jacobians]
-    points = chain.robot.points_of_interest
+    points = tree.robot.points_of_interest
     if points:
-        rows = ca.vertcat(*(chain.position_jacobian(point.link, point.offset) for point in points))
-        shape = (len(points), chain.robot.dimension, chain.q.numel())
+        rows = ca.vertcat(*(tree.position_jacobian(point.link, point.offset) for point in points))
+        shape = (len(points), tree.robot.dimension, tree.q.numel())
         text = "J_r = ∂r/∂q of every point of interest"
         outputs.append(result("point_jacobian", rows, shape, "m per joint unit", text))
     return outputs

@@ -7,10 +7,21 @@ from importlib import metadata, resources
 from pathlib import Path
 
 from clikgen.runtime.documents import TEMPORARY_SUFFIX, BadInput, commit_all, json_text
-from clikgen.runtime.manifest import FunctionInfo, JointInfo, Manifest, PointInfo, TaskInfo, sha256
+from clikgen.runtime.manifest import (
+    BodyInfo,
+    FunctionInfo,
+    InputInfo,
+    JointInfo,
+    LinkInfo,
+    Manifest,
+    PointInfo,
+    ReferenceInfo,
+    TaskInfo,
+    sha256,
+)
 from clikgen.symbolic import c_code
 from clikgen.symbolic.controller import Controller, ControllerFunction, build
-from clikgen.symbolic.spec import ControllerSpec, read_spec
+from clikgen.symbolic.spec import ControllerSpec, read_spec_file
 
 
 def generate(spec: ControllerSpec) -> dict[str, str]:
@@ -29,11 +40,20 @@ def generate(spec: ControllerSpec) -> dict[str, str]:
     return {**sources, "manifest.json": json_text(manifest.model_dump(mode="json", exclude_none=True))}
 
 
-def generate_file(path: Path) -> tuple[str, dict[str, str]]:
-    """The controller's name and files from the spec in `path`; raises BadInput that names the file."""
-    spec = read_spec(path)
+@dataclass(frozen=True, slots=True)
+class Generated:
+    """A controller's name, its files (name -> text), and notes on its robot, a line each."""
+
+    name: str
+    files: dict[str, str]
+    notes: tuple[str, ...]
+
+
+def generate_file(path: Path) -> Generated:
+    """The controller of the spec in `path`; raises BadInput that names the file."""
+    read = read_spec_file(path)
     try:
-        return spec.name, generate(spec)
+        return Generated(read.spec.name, generate(read.spec), read.notes)
     except BadInput as error:
         raise BadInput(f"{path}: {error}") from None
 
@@ -53,7 +73,7 @@ def _function_info(function: ControllerFunction) -> FunctionInfo:
 
 
 def _manifest(controller: Controller, functions: Iterable[FunctionInfo], sources: Mapping[str, str]) -> Manifest:
-    spec = controller.spec
+    spec, robot = controller.spec, controller.spec.robot
     return Manifest(
         generator="clikgen",
         controller=spec.name,
@@ -61,7 +81,7 @@ def _manifest(controller: Controller, functions: Iterable[FunctionInfo], sources
         casadi=metadata.version("casadi"),
         spec_sha256=spec.sha256(),
         source_sha256={name: sha256(text.encode()) for name, text in sources.items()},
-        dimension=spec.robot.dimension,
+        dimension=robot.dimension,
         joints=tuple(
             JointInfo(
                 name=joint.name,
@@ -71,24 +91,47 @@ def _manifest(controller: Controller, functions: Iterable[FunctionInfo], sources
                 lower=joint.lower,
                 upper=joint.upper,
                 velocity=joint.velocity,
-                outline=joint.outline,
             )
-            for joint in spec.robot.joints
+            for joint in robot.coordinates
+            if joint.type != "fixed"
+        ),
+        inputs=tuple(InputInfo(name=one.name, unit=one.unit, velocity=one.velocity) for one in robot.inputs),
+        links=tuple(
+            LinkInfo(name=joint.link, parent=robot.parent(joint), outline=joint.outline) for joint in robot.joints
         ),
         points=tuple(
-            PointInfo(name=point.name, link=point.link, offset=point.offset) for point in spec.robot.points_of_interest
+            PointInfo(name=point.name, link=point.link, offset=point.offset) for point in robot.points_of_interest
+        ),
+        bodies=tuple(
+            BodyInfo(name=body.name, link=body.link, start=body.start, end=body.end or body.start, radius=body.radius)
+            for body in robot.bodies
         ),
         obstacles=spec.obstacles.maximum,
+        capsules=spec.obstacles.capsules,
+        half_spaces=spec.obstacles.half_spaces,
         tasks=tuple(
             TaskInfo(
                 name=task.name,
                 kind=task.kind,
                 equality=task.equality,
-                dimension=task.dimension(spec.robot),
+                dimension=task.dimension(robot),
+                tracks=task.tracks,
             )
             for task in spec.tasks
         ),
+        references=tuple(
+            ReferenceInfo(
+                name=one.name,
+                task=task.name,
+                space=one.space,
+                dimension=one.velocity.info.size,
+                required=one.required,
+            )
+            for task in controller.tasks
+            for one in task.references
+        ),
         law=spec.law,
+        velocity_limits=spec.velocity_limits.kind if spec.velocity_limits else None,
         filter=spec.filter.kind,
         functions=tuple(functions),
     )

@@ -1,36 +1,70 @@
-"""Damped least squares: the one inverse this project uses."""
+"""Damped least squares: one factorisation, used as often as it is wanted."""
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Self
 
 import casadi as ca
 
-ROUNDING = 2.0**-46  # of the trace: what rounding (64 times 2^-52) can leave of a pivot that is zero
+if TYPE_CHECKING:  # damping.py needs the factorisation below
+    from clikgen.symbolic.damping import Damping
+
+ROUNDING = 2.0**-46  # of a sum of squares: what rounding (64 times 2^-52) can leave of a pivot that is zero
 
 
-def damped_pseudo_inverse_times(J: ca.SX, v: ca.SX, damping: ca.SX) -> ca.SX:
-    """J⁺ v with J⁺ = Jᵀ(J Jᵀ + damping² I)⁻¹: the damped least-squares joint velocity, shape (n, 1).
+@dataclass(frozen=True, slots=True, eq=False)
+class LdlFactor:
+    """A = L D Lᵀ (Golub & Van Loan, Matrix Computations, 4th ed., section 4.1.2), unrolled.
 
-    J (m, n), v (m, 1), damping a scalar > 0 in the unit of J. Finite for every finite J, J = 0 included.
+    A structural zero of A costs nothing: with a diagonal A everything below is O(m).
     """
-    m = J.shape[0]
-    gram = J @ J.T + damping**2 * ca.SX.eye(m)  # (m, m)
-    return J.T @ _ldl_solve(gram, v, smallest_pivot=damping**2 + ROUNDING * ca.trace(gram))
+
+    lower: ca.SX  # L, (m, m), sparse, ones on its diagonal
+    pivots: tuple[ca.SX, ...]  # the diagonal of D
+
+    @classmethod
+    def of(cls, A: ca.SX, least: ca.SX) -> Self:
+        """Factor symmetric A (m, m), of which the lower triangle is read, holding pivot i at least[i] or above.
+
+        A smaller pivot is rounding noise, zero or below, and dividing by it would send the solution anywhere.
+        `least` is (m, 1), in the unit of A. The held factors are those of A + E with |E| of the order of `least`.
+        """
+        L, d = ca.SX.eye(A.shape[0]), list[ca.SX]()
+        for i in range(A.shape[0]):
+            for j in range(i):
+                entry = A[i, j] - sum(L[i, k] * d[k] * L[j, k] for k in range(j))
+                if not entry.is_zero():
+                    L[i, j] = entry / d[j]
+            d.append(ca.fmax(A[i, i] - sum(L[i, k] ** 2 * d[k] for k in range(i)), least[i]))
+        return cls(L, tuple(d))
+
+    def solve(self, b: ca.SX) -> ca.SX:
+        """A⁻¹ b for b (m, k), shape (m, k)."""
+        x = self._forward(b)
+        for i in reversed(range(len(x))):
+            x[i] = x[i] / self.pivots[i] - sum(self.lower[k, i] * x[k] for k in range(i + 1, len(x)))
+        return ca.vertcat(*x)
+
+    def trace_of_inverse(self) -> ca.SX:
+        """Trace(A⁻¹) = Σ_k |row k of L⁻¹|² / d_k, a sum of positive terms: nothing cancels."""
+        rows = self._forward(ca.SX.eye(len(self.pivots)))
+        return sum((ca.sumsqr(row) / pivot for row, pivot in zip(rows, self.pivots, strict=True)), ca.SX(0))
+
+    def _forward(self, b: ca.SX) -> list[ca.SX]:
+        """The rows of L⁻¹ b."""
+        x: list[ca.SX] = []
+        for i in range(b.shape[0]):
+            x.append(b[i, :] - sum(self.lower[i, k] * x[k] for k in range(i)))
+        return x
 
 
-def _ldl_solve(A: ca.SX, b: ca.SX, smallest_pivot: ca.SX) -> ca.SX:
-    """Solve A x = b for symmetric A (m, m) and b (m, 1) by one LDLᵀ factorisation, unrolled.
+def damped_pseudo_inverse_times(J: ca.SX, v: ca.SX, damping: "Damping") -> ca.SX:
+    """J⁺ v with J⁺ = Jᵀ(J Jᵀ + λ² I)⁻¹: the damped least-squares joint velocity, shape (n, 1).
 
-    A pivot below smallest_pivot is held there: at a singular J it is rounding noise, zero or below, and dividing
-    by it would send the solution anywhere.
+    J (m, n), v (m, 1), λ from `damping`, in the unit of J. Finite for every finite J, J = 0 included.
     """
-    m = A.shape[0]
-    L = ca.SX.eye(m)
-    d: list[ca.SX] = []
-    x: list[ca.SX] = []
-    for i in range(m):
-        for j in range(i):
-            L[i, j] = (A[i, j] - sum(L[i, k] * d[k] * L[j, k] for k in range(j))) / d[j]
-        pivot = A[i, i] - sum(L[i, k] ** 2 * d[k] for k in range(i))
-        d.append(pivot if i == 0 else ca.fmax(pivot, smallest_pivot))
-        x.append(b[i] - sum(L[i, k] * x[k] for k in range(i)))
-    for i in reversed(range(m)):
-        x[i] = x[i] / d[i] - sum(L[k, i] * x[k] for k in range(i + 1, m))
-    return ca.vertcat(*x)
+    gram = J @ J.T  # (m, m)
+    squared = damping.squared(gram)
+    damped = gram + squared * ca.SX.eye(J.shape[0])
+    least = ca.repmat(squared + ROUNDING * ca.trace(damped), J.shape[0], 1)
+    least[0] = damped[0, 0]  # the first pivot is a plain sum of squares: nothing cancels in it
+    return J.T @ LdlFactor.of(damped, least).solve(v)

@@ -1,67 +1,106 @@
-"""Obstacles, points or discs that may move, and what every point of interest senses of them."""
+"""Obstacles, balls, capsules and half-spaces that may move, and what every point of interest senses of them."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Self
+from typing import Annotated, Self
 
 import casadi as ca
+from pydantic import Field
 
+from clikgen.runtime.documents import Document
 from clikgen.runtime.manifest import FAR
-from clikgen.symbolic.chain import SerialChain
+from clikgen.symbolic.contact import Contact
+from clikgen.symbolic.distances import COINCIDENT, nearest_on_segment
 from clikgen.symbolic.signals import Signal, symbol
+from clikgen.symbolic.tree import KinematicTree, Push
 
-COINCIDENT = 1e-12  # [m] nearer than this to an obstacle's centre, the direction to it is taken as +x
+Capacity = Annotated[int, Field(strict=True, ge=0, le=100)]
+
+
+class ObstacleCapacity(Document):
+    """How many obstacles the controller can hold at once: balls (`maximum`; discs in the plane), capsules, walls."""
+
+    maximum: Capacity = 0
+    capsules: Capacity = 0
+    half_spaces: Capacity = 0
+
+    @property
+    def any(self) -> bool:
+        """Whether there can be an obstacle at all."""
+        return bool(self.maximum or self.capsules or self.half_spaces)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Obstacles:
-    """Up to `maximum` discs (in 3-D, balls): centre [m], radius [m] (0 is a point), and how many there are."""
+    """The signals that say where the obstacles are and how many of each kind there are."""
 
-    center: Signal  # (maximum, dimension)
-    radius: Signal  # (maximum,)
-    count: Signal  # scalar
+    dimension: int
+    capacity: ObstacleCapacity
+    signals: dict[str, Signal]
 
     @classmethod
-    def up_to(cls, maximum: int, dimension: int) -> Self:
-        """New symbols for `maximum` obstacles."""
-        return cls(
-            symbol("obstacle_center", (maximum, dimension), "m", "obstacle centres o", "signal", (-1e6, 1e6)),
-            symbol("obstacle_radius", (maximum,), "m", "obstacle radii; 0 is a point", "signal", (0.0, 1e3)),
-            symbol("obstacle_count", (), "1", "how many are there; the rest is ignored", "signal", (0.0, maximum)),
-        )
+    def up_to(cls, capacity: ObstacleCapacity, dimension: int) -> Self:
+        """New symbols for as many obstacles as the controller can hold."""
+        inputs: list[Signal] = []
+        if capacity.maximum:
+            inputs += [
+                _points("obstacle_center", capacity.maximum, dimension, "obstacle centres o"),
+                _radii("obstacle_radius", capacity.maximum, "obstacle radii; 0 is a point"),
+                _count("obstacle_count", capacity.maximum),
+            ]
+        if capacity.capsules:
+            inputs += [
+                _points("capsule_start", capacity.capsules, dimension, "where the capsules' axes start"),
+                _points("capsule_end", capacity.capsules, dimension, "where the capsules' axes end"),
+                _radii("capsule_radius", capacity.capsules, "capsule radii; 0 is a segment"),
+                _count("capsule_count", capacity.capsules),
+            ]
+        if capacity.half_spaces:
+            shape, text = (capacity.half_spaces, dimension), "outward unit normals n of the half-spaces"
+            inputs += [
+                symbol("half_space_normal", shape, "1", text, "signal", (-1.0, 1.0)),
+                symbol("half_space_offset", shape[:1], "m", "o: nᵀp <= o is inside", "signal", (-1e6, 1e6)),
+                _count("half_space_count", capacity.half_spaces),
+            ]
+        return cls(dimension, capacity, {signal.info.name: signal for signal in inputs})
 
     @property
     def inputs(self) -> tuple[Signal, ...]:
         """The signals the controller has to be given."""
-        return (self.center, self.radius, self.count)
+        return tuple(self.signals.values())
 
     def closest(self, point: ca.SX) -> tuple[ca.SX, ca.SX]:
         """D and u of eqs. 8-9 for the closest obstacle to `point` (dimension, 1).
 
-        d [m] is the distance to the closest point on the disc, negative inside it and FAR without an obstacle;
-        u (dimension, 1) is the unit vector toward its centre, +x where the point sits on the centre.
+        d [m] is the distance to its surface, negative inside it and FAR without an obstacle; u (dimension, 1) is
+        the unit vector toward its nearest point or axis, +x where the point sits on a centre or axis.
         """
-        center, radius = self.center.expression, self.radius.expression
-        distance, toward, norm = ca.SX(FAR), ca.SX.eye(point.shape[0])[:, 0], ca.SX(1)
-        for k in range(center.shape[0]):
-            toward_k = center[k, :].T - point
-            norm_k = ca.sqrt(ca.sumsqr(toward_k))
-            distance_k = ca.if_else(k < self.count.expression, norm_k - radius[k], FAR)
-            closer = distance_k < distance
-            distance = ca.if_else(closer, distance_k, distance)
+        first_axis = ca.SX.eye(self.dimension)[:, 0]
+        distance, toward, norm = ca.SX(FAR), first_axis, ca.SX(1)
+        for there, distance_k, toward_k, norm_k in self._each(point):
+            seen = ca.if_else(there, distance_k, FAR)
+            closer = seen < distance
+            distance = ca.if_else(closer, seen, distance)
             toward = ca.if_else(closer, toward_k, toward)
             norm = ca.if_else(closer, norm_k, norm)
-        first_axis = ca.SX.eye(point.shape[0])[:, 0]
         return distance, ca.if_else(norm > COINCIDENT, toward / norm, first_axis)
 
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Contact:
-    """What one point of interest senses: distance d [m], depth x = s − d [m] where positive, and −∂d/∂q."""
-
-    distance: ca.SX  # scalar [m]
-    inside: ca.SX  # scalar, 1 where d <= s
-    depth: ca.SX  # scalar [m], 0 outside
-    approach: ca.SX  # (1, n), uᵀ J_r
+    def _each(self, point: ca.SX) -> Iterator[tuple[ca.SX, ca.SX, ca.SX, ca.SX]]:
+        """Of every obstacle: whether it is there, its distance [m], a vector toward it and that vector's norm."""
+        at = {name: signal.expression for name, signal in self.signals.items()}
+        for k in range(self.capacity.maximum):
+            toward = at["obstacle_center"][k, :].T - point
+            norm = ca.sqrt(ca.sumsqr(toward))
+            yield k < at["obstacle_count"], norm - at["obstacle_radius"][k], toward, norm
+        for k in range(self.capacity.capsules):
+            start, end = at["capsule_start"][k, :].T, at["capsule_end"][k, :].T
+            toward = nearest_on_segment(start, end, point) - point
+            norm = ca.sqrt(ca.sumsqr(toward))
+            yield k < at["capsule_count"], norm - at["capsule_radius"][k], toward, norm
+        for k in range(self.capacity.half_spaces):
+            normal = at["half_space_normal"][k, :].T
+            distance = ca.dot(normal, point) - at["half_space_offset"][k]
+            yield k < at["half_space_count"], distance, -normal, ca.SX(1)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -71,11 +110,12 @@ class Sensing:
     obstacles: Obstacles
     influence_radius: Signal  # (points,)
     contacts: tuple[Contact, ...]
+    pushes: tuple[Push, ...]  # of each point, the unit vector toward its obstacle
 
     @classmethod
-    def of(cls, chain: SerialChain, obstacles: Obstacles) -> Self:
-        """Every point of interest of the chain, each with its own influence radius s as a parameter."""
-        points = chain.robot.points_of_interest
+    def of(cls, tree: KinematicTree, obstacles: Obstacles) -> Self:
+        """Every point of interest of the robot, each with its own influence radius s as a parameter."""
+        points = tree.robot.points_of_interest
         radius = symbol(
             "influence_radius",
             (len(points),),
@@ -85,14 +125,14 @@ class Sensing:
             (1e-6, 1e3),
             [point.influence_radius for point in points],
         )
-        contacts = []
+        contacts, pushes = [], []
         for i, point in enumerate(points):
-            distance, toward = obstacles.closest(chain.position(point.link, point.offset))
-            inside = distance <= radius.expression[i]
-            depth = ca.if_else(inside, radius.expression[i] - distance, 0)
-            approach = toward.T @ chain.position_jacobian(point.link, point.offset)
-            contacts.append(Contact(distance, inside, depth, approach))
-        return cls(obstacles, radius, tuple(contacts))
+            place = tree.position(point.link, point.offset)
+            distance, toward = obstacles.closest(place)
+            approach = toward.T @ tree.position_jacobian(point.link, point.offset)
+            contacts.append(Contact.of(distance, radius.expression[i], approach))
+            pushes.append(Push(point.link, place, toward))
+        return cls(obstacles, radius, tuple(contacts), tuple(pushes))
 
     @property
     def inputs(self) -> tuple[Signal, ...]:
@@ -116,3 +156,15 @@ class Sensing:
         for contact in self.contacts:
             event = ca.logic_or(event, contact.inside)
         return event
+
+
+def _points(name: str, maximum: int, dimension: int, description: str) -> Signal:
+    return symbol(name, (maximum, dimension), "m", description, "signal", (-1e6, 1e6))
+
+
+def _radii(name: str, maximum: int, description: str) -> Signal:
+    return symbol(name, (maximum,), "m", description, "signal", (0.0, 1e3))
+
+
+def _count(name: str, maximum: int) -> Signal:
+    return symbol(name, (), "1", "how many are there; the rest is ignored", "signal", (0.0, maximum))

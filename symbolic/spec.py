@@ -1,23 +1,27 @@
 """The controller spec: one TOML file that says what robot, which tasks in which order, which law."""
 
 import pkgutil
+from dataclasses import dataclass
 from functools import reduce
 from importlib import import_module, resources
 from operator import or_
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Self
+from typing import TYPE_CHECKING, Annotated, Any, Self
 
-from pydantic import Field, model_validator
+from pydantic import Field, create_model, model_validator
 
-from clikgen.runtime.documents import Document, Identifier, choices, read_toml
+from clikgen.runtime.documents import BadInput, Document, Identifier, choices, read_toml
 from clikgen.runtime.manifest import sha256
-from clikgen.symbolic import filters, laws
+from clikgen.symbolic import filters, laws, velocity_limits
+from clikgen.symbolic.models.table import RobotModel, RobotTable
+from clikgen.symbolic.obstacles import ObstacleCapacity
 from clikgen.symbolic.planner import Planner
 from clikgen.symbolic.robot import Robot
 from clikgen.symbolic.task import TaskSpec, task_kinds
 
 if TYPE_CHECKING:
     from clikgen.symbolic.filters.first_order import Spec as AnyFilter
+    from clikgen.symbolic.velocity_limit import VelocityLimitSpec as AnyVelocityLimit
 
     AnyTask = TaskSpec
 else:  # the kinds are the files of a folder, so pydantic learns them when it starts
@@ -26,20 +30,17 @@ else:  # the kinds are the files of a folder, so pydantic learns them when it st
         kinds = tuple(kinds)
         return kinds[0] if len(kinds) == 1 else Annotated[reduce(or_, kinds), Field(discriminator="kind")]
 
+    def _specs_in(package):
+        names = (module.name for module in pkgutil.iter_modules(package.__path__))
+        return (import_module(f"{package.__name__}.{name}").Spec for name in names)
+
     AnyTask = _one_of(task_kinds().values())
-    AnyFilter = _one_of(
-        import_module(f"{filters.__name__}.{module.name}").Spec for module in pkgutil.iter_modules(filters.__path__)
-    )
-
-
-class ObstacleCapacity(Document):
-    """How many obstacles the controller can hold at once."""
-
-    maximum: Annotated[int, Field(strict=True, ge=0, le=100)] = 0
+    AnyFilter = _one_of(_specs_in(filters))
+    AnyVelocityLimit = _one_of(_specs_in(velocity_limits))
 
 
 class ControllerSpec(Document):
-    """A controller, named: robot, obstacles, tasks from the highest priority down, law, filter, planner.
+    """A controller, named: robot, obstacles, tasks from the highest priority down, law, limits, filter, planner.
 
     `period` is the default sampling time T [s]. Structure is compiled in; every number one tunes (gains,
     damping, influence radii, T, f_c, λ) is a run-time parameter whose default is written here.
@@ -52,6 +53,7 @@ class ControllerSpec(Document):
     robot: Robot
     obstacles: ObstacleCapacity = ObstacleCapacity()
     tasks: Annotated[tuple[AnyTask, ...], Field(min_length=1)]
+    velocity_limits: AnyVelocityLimit | None = None
     filter: AnyFilter
     planner: Planner = Planner()
 
@@ -75,9 +77,50 @@ class ControllerSpec(Document):
         return sha256(self.model_dump_json().encode())
 
 
+class _RobotOfSpec(Document):
+    robot: RobotTable  # under this name, so that an error says where: robot.joints.0
+
+
+@dataclass(frozen=True, slots=True)
+class SpecFile:
+    """A spec file as it was read, and what its writer should know of the robot, a line each."""
+
+    spec: ControllerSpec
+    notes: tuple[str, ...]
+
+
+def read_spec_file(path: Path) -> SpecFile:
+    """The spec in a TOML file, its robot built from joints, DH parameters or a URDF; raises BadInput, one line."""
+    data, source = read_toml(path), str(path)
+    if "robot" not in data:  # let the spec say so
+        return SpecFile(ControllerSpec.parse(data, source), ())
+    model = _built_robot(data["robot"], path)
+    return SpecFile(ControllerSpec.parse(data | {"robot": model.robot}, source), model.notes)
+
+
+def read_robot(path: Path) -> RobotModel:
+    """The robot of a URDF file or of a spec, whatever else the spec says; raises BadInput, one line."""
+    if path.suffix == ".urdf":
+        return _built_robot({"urdf": path.name}, path)
+    data = read_toml(path)
+    if "robot" not in data:
+        raise BadInput(f"{path}: robot: missing; wanted a table [robot]")
+    return _built_robot(data["robot"], path)
+
+
+def _built_robot(table: Any, path: Path) -> RobotModel:
+    return _RobotOfSpec.parse({"robot": table}, str(path)).robot.build(path.parent, str(path))
+
+
 def read_spec(path: Path) -> ControllerSpec:
     """The spec in a TOML file; raises BadInput, one line."""
-    return ControllerSpec.parse(read_toml(path), str(path))
+    return read_spec_file(path).spec
+
+
+def spec_schema() -> dict[str, Any]:
+    """The JSON schema of a spec file."""
+    fields: Any = {"robot": (RobotTable, ...)}
+    return create_model("ControllerSpec", __base__=ControllerSpec, **fields).model_json_schema()
 
 
 def shipped_specs() -> list[Path]:

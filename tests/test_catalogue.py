@@ -5,6 +5,7 @@ from importlib import import_module
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from clikgen.runtime.controller import CompiledController
 from clikgen.runtime.manifest import is_positive_definite
@@ -32,19 +33,48 @@ def controller(spec_file):
 def states(controller, count, seed=0):
     """Random inputs: joints within their limits, obstacles among the points of interest, parameters as they ship."""
     draw = np.random.default_rng(seed)
-    joints = controller.manifest.joints
-    lower, upper = (np.array([getattr(joint, end) for joint in joints]) for end in ("lower", "upper"))
+    lower, upper = controller.manifest.limits.T
     values = {}
     for signal in controller.step.info.inputs:
+        shape = (count, *signal.shape)
         if signal.role == "state":
-            values[signal.name] = draw.uniform(np.maximum(lower, -3), np.minimum(upper, 3), (count, len(joints)))
-        elif signal.name == "obstacle_count":
-            values[signal.name] = draw.integers(0, controller.manifest.obstacles + 1, count).astype(float)
-        elif signal.name == "obstacle_radius":
-            values[signal.name] = draw.uniform(0, 0.3, (count, *signal.shape))
+            values[signal.name] = draw.uniform(np.maximum(lower, -3), np.minimum(upper, 3), shape)
+        elif signal.name.endswith("_count"):
+            values[signal.name] = draw.integers(0, int(signal.maximum) + 1, count).astype(float)
+        elif signal.name.endswith("_radius") and signal.role == "signal":
+            values[signal.name] = draw.uniform(0, 0.3, shape)
+        elif signal.name == "half_space_normal":
+            normal = draw.standard_normal(shape)
+            values[signal.name] = normal / np.linalg.norm(normal, axis=-1, keepdims=True)
         elif signal.role == "signal":
-            values[signal.name] = draw.uniform(-3, 3, (count, *signal.shape))
+            values[signal.name] = draw.uniform(-3, 3, shape)
     return values
+
+
+def own_inputs(function, values):
+    return {name: value for name, value in values.items() if name in function.inputs}
+
+
+def rate(function, outputs, values, joint, h=1e-5):
+    """Central difference of what a task measures, along one joint: (count, rows).
+
+    A quaternion's rate is turned into the angular velocity ω = 2 (q̇ ⊗ q̄), a potential's or a value's is plain.
+    """
+    ahead, behind = (
+        function.map(len(values["q"]), values | {"q": values["q"] + sign * h * np.eye(values["q"].shape[1])[joint]})
+        for sign in (1, -1)
+    )
+    rows = []
+    for name in outputs:
+        difference = ahead[name] - behind[name]
+        if name.endswith("_orientation"):
+            turned = (
+                Rotation.from_quat(ahead[name], scalar_first=True)
+                * Rotation.from_quat(behind[name], scalar_first=True).inv()
+            )
+            difference = turned.as_rotvec()
+        rows.append(difference.reshape(len(values["q"]), -1) / (2 * h))
+    return np.concatenate(rows, axis=1)
 
 
 def test_file_and_controller_share_their_name(spec_file):
@@ -52,8 +82,8 @@ def test_file_and_controller_share_their_name(spec_file):
 
 
 def test_generated_files_are_fresh(spec_file):
-    name, files = generate_file(spec_file)
-    assert not difference({name: files}, shipped_folder(), complete=False)
+    made = generate_file(spec_file)
+    assert not difference({made.name: made.files}, shipped_folder(), complete=False)
 
 
 def test_defaults_lie_within_the_limits(controller):
@@ -73,25 +103,23 @@ def test_every_signal_has_a_unit_and_a_meaning(controller):
 
 
 def test_every_task_jacobian_is_the_derivative_of_what_the_task_measures(controller):
-    """Central differences: error h²·|D³f|/6 and rounding eps/h, both below 1e-8 at h = 1e-5 for lengths of metres."""
-    count, h, n = 200, 1e-5, len(controller.manifest.joints)
+    """Central differences at h = 1e-5: truncation h²·|D³f|/6 and rounding eps/h stay below 1e-7 for lengths of metres.
+
+    Kinks and poles (a potential's boundary, looking away, a heading's wrap, w = 0) are met by few of the states.
+    """
+    count = 400
     values = states(controller, count)
-    own = {name: value for name, value in values.items() if name in controller.jacobians.inputs}
-    jacobians = controller.jacobians.map(count, own)
+    jacobians = controller.jacobians.map(count, own_inputs(controller.jacobians, values))
     for task in controller.manifest.tasks:
-        measured = next(
-            name for name in (f"{task.name}_position", f"{task.name}_potential") if name in controller.step.outputs
+        kinds = ("position", "orientation", "potential", "value")
+        wanted = [f"{task.name}_{kind}" for kind in kinds if f"{task.name}_{kind}" in controller.step.outputs]
+        assert wanted, f"{task.kind} says nothing of what it measures"
+        columns = [rate(controller.step, wanted, values, i) for i in range(values["q"].shape[1])]
+        jacobian = jacobians[f"{task.name}_jacobian"].reshape(count, -1, values["q"].shape[1])
+        wrong = np.abs(jacobian - np.stack(columns, axis=-1)).max(axis=(1, 2)) > 1e-6 * (
+            1 + np.abs(jacobian).max(axis=(1, 2))
         )
-        columns = []
-        for i in range(n):
-            moved = [
-                controller.step.map(count, values | {"q": values["q"] + sign * h * np.eye(n)[i]}) for sign in (1, -1)
-            ]
-            columns.append((moved[0][measured] - moved[1][measured]) / (2 * h))
-        differences = np.stack(columns, axis=-1)
-        jacobian = jacobians[f"{task.name}_jacobian"]
-        # the potential has a kink in its curvature at the boundary: its derivative is continuous, to h·ν²
-        np.testing.assert_allclose(jacobian, differences, atol=1e-4 if "potential" in measured else 1e-7)
+        assert np.count_nonzero(wrong) <= count // 50, f"{task.kind}: {np.count_nonzero(wrong)} of {count}"
 
 
 def test_point_jacobians_are_derivatives_of_the_points(controller):
@@ -101,8 +129,7 @@ def test_point_jacobians_are_derivatives_of_the_points(controller):
     count, h, n = 200, 1e-5, len(controller.manifest.joints)
     values = states(controller, count)
     q = values["q"]
-    own = {name: value for name, value in values.items() if name in controller.jacobians.inputs}
-    jacobian = controller.jacobians.map(count, own)["point_jacobian"]
+    jacobian = controller.jacobians.map(count, own_inputs(controller.jacobians, values))["point_jacobian"]
     for i in range(n):
         ahead, behind = (
             controller.kinematics.map(count, {"q": q + sign * h * np.eye(n)[i]})["point_position"] for sign in (1, -1)

@@ -88,15 +88,15 @@ typedef struct planar5_step_input {
   double q[5];
   /* K_o (eq. 10) [1/s]; default 250; 0 to 1e+06 */
   double obstacles_gain;
-  /* damping of J_o⁺ [m^2]; default 1e-09; 1e-09 to 1000 */
+  /* damping of J⁺ [m^2]; default 1e-09; 1e-09 to 1000 */
   double obstacles_damping;
   /* r_g, where frame tool should be [m]; -1e+06 to 1e+06 */
   double tool_reference[2];
-  /* its time derivative ṙ_g [m/s]; -1e+06 to 1e+06 */
+  /* its time derivative [m/s]; -1e+06 to 1e+06 */
   double tool_reference_velocity[2];
-  /* K_g, symmetric positive definite (eq. 4) [1/s]; default {4, 0, 0, 4}; -10000 to 10000 */
+  /* K_g (eq. 4), symmetric positive definite [1/s]; default {4, 0, 0, 4}; -10000 to 10000 */
   double tool_gain[2][2];
-  /* damping of J_g⁺ [m]; default 0.001; 1e-06 to 1000 */
+  /* damping of J⁺ [m]; default 0.001; 1e-09 to 1000 */
   double tool_damping;
   /* obstacle centres o [m]; -1e+06 to 1e+06 */
   double obstacle_center[3][2];

@@ -1,6 +1,7 @@
 """The first-order low-pass filter on the joint positions (eqs. 14-16)."""
 
 import math
+from collections.abc import Sequence
 from typing import Literal
 
 import casadi as ca
@@ -12,18 +13,21 @@ from clikgen.symbolic.signals import Signal, symbol
 class Spec(Document):
     """q_i = A_β q_i + (I − A_β) q_{i−1}, eq. 16, with β = 2πTf_c / (1 + 2πTf_c) per joint, eq. 15.
 
-    `cutoff` is f_c [Hz]: one number for all joints or a list, one per joint. q_{i−1} is the joint position the
-    step started from, so the filtered position is the state: the filter needs no memory of its own.
+    `cutoff` is f_c [Hz]: one number for all joints or a list, one per joint (for a differential drive one for v,
+    which its x and y share, so that the filtered step still rolls). q_{i−1} is the joint position the step
+    started from, so the filtered position is the state: the filter needs no memory of its own.
     """
 
     kind: Literal["first_order"]
     cutoff: Positive | tuple[Positive, ...]
 
-    def build(self, q_raw: ca.SX, q_previous: ca.SX, period: ca.SX) -> tuple[ca.SX, tuple[Signal, ...]]:
-        """The filtered joint position (n, 1) and the inputs it needs."""
+    def build(
+        self, q_raw: ca.SX, q_previous: ca.SX, period: ca.SX, input_of: Sequence[int]
+    ) -> tuple[ca.SX, tuple[Signal, ...]]:
+        """The filtered joint position (n, 1) and the inputs it needs; `input_of` q_i is the input that moves it."""
         cutoff = symbol(
             "filter_cutoff",
-            (q_raw.numel(),),
+            (max(input_of) + 1,),
             "Hz",
             "f_c of each joint (eq. 15)",
             "parameter",
@@ -31,5 +35,5 @@ class Spec(Document):
             self.cutoff,
         )
         x = 2 * math.pi * period * cutoff.expression
-        beta = x / (1 + x)  # (n, 1), the diagonal of A_β
+        beta = (x / (1 + x))[list(input_of)]  # (n, 1), the diagonal of A_β
         return beta * q_raw + (1 - beta) * q_previous, (cutoff,)

@@ -1,78 +1,91 @@
 """Trajectory tracking: a frame's position follows a reference, closed loop (eqs. 3-5)."""
 
-from typing import Literal
+from typing import Annotated, Literal, Self
 
-from clikgen.runtime.documents import Number, Positive
-from clikgen.symbolic.chain import SerialChain
+from pydantic import Field, model_validator
+
+from clikgen.runtime.documents import BadInput
+from clikgen.symbolic.damping import DampingSpec, damping_signals
 from clikgen.symbolic.obstacles import Sensing
 from clikgen.symbolic.robot import Robot
-from clikgen.symbolic.signals import result, symbol
-from clikgen.symbolic.task import Task, TaskSpec
+from clikgen.symbolic.signals import result
+from clikgen.symbolic.task import (
+    NEAR_SINGULARITY,
+    GainSpec,
+    Task,
+    TaskSpec,
+    gain_signal,
+    jacobian_result,
+    vector_reference,
+)
+from clikgen.symbolic.tree import KinematicTree
 
 
 class Spec(TaskSpec):
     """q̇_g = J_g⁺ (ṙ_g + K_g (r_g − f_g(q))), eq. 4.
 
-    `gain` is K_g [1/s]: a number k for k·I, a list for a diagonal, or a full symmetric positive definite
-    matrix. `damping` [m] is that of the pseudo-inverse.
+    `axes` are the world axes along which the position is held, all of them by default. `gain` is K_g [1/s]: a
+    number k for k·I, a list for a diagonal, or a full symmetric positive definite matrix. `damping` [m] is that
+    of the pseudo-inverse.
     """
 
     kind: Literal["frame_position"]
     frame: str
-    gain: Number | tuple[Number, ...] | tuple[tuple[Number, ...], ...]
-    damping: Positive
+    axes: Annotated[tuple[Literal["x", "y", "z"], ...], Field(min_length=1)] | None = None
+    gain: GainSpec
+    damping: DampingSpec = NEAR_SINGULARITY
+
+    @model_validator(mode="after")
+    def _axes_differ(self) -> Self:
+        if self.axes and len(set(self.axes)) < len(self.axes):
+            raise ValueError(f"wanted each axis once, got {list(self.axes)}")
+        return self
 
     @property
     def equality(self) -> bool:
         """Tracking holds always."""
         return True
 
-    def dimension(self, robot: Robot) -> int:
-        """2 in the plane, 3 in space."""
-        return robot.dimension
+    @property
+    def tracks(self) -> bool:
+        """It follows a path."""
+        return True
 
-    def build(self, chain: SerialChain, sensing: Sensing | None) -> Task:
+    def dimension(self, robot: Robot) -> int:
+        """One row an axis: 2 in the plane, 3 in space, unless `axes` says less."""
+        return len(self.axes) if self.axes else robot.dimension
+
+    def build(self, tree: KinematicTree, sensing: Sensing | None) -> Task:
         """The error r_g − f_g(q) [m], the geometric Jacobian of the frame, and ṙ_g as feedforward."""
-        m, name = chain.robot.dimension, self.name
-        frame = chain.robot.frame(self.frame)
-        position = chain.position(frame.link, frame.xyz)
-        jacobian = chain.position_jacobian(frame.link, frame.xyz)
-        reference = symbol(
-            f"{name}_reference", (m,), "m", f"r_g, where frame {frame.name} should be", "signal", (-1e6, 1e6)
-        )
-        velocity = symbol(f"{name}_reference_velocity", (m,), "m/s", "its time derivative ṙ_g", "signal", (-1e6, 1e6))
-        gain = symbol(
-            f"{name}_gain",
-            (m, m),
-            "1/s",
-            "K_g, symmetric positive definite (eq. 4)",
-            "parameter",
-            (-1e4, 1e4),
-            self.gain,
-            positive_definite=True,
-        )
-        damping = symbol(f"{name}_damping", (), "m", "damping of J_g⁺", "parameter", (1e-6, 1e3), self.damping)
-        error = reference.expression - position
+        m, name = self.dimension(tree.robot), self.name
+        frame = tree.robot.frame(self.frame)
+        rows = self._rows(tree.robot.dimension)
+        position = tree.position(frame.link, frame.xyz)[rows]
+        jacobian = tree.position_jacobian(frame.link, frame.xyz)[rows, :]
+        reference = vector_reference(name, m, "m", f"r_g, where frame {frame.name} should be")
+        gain = gain_signal(name, m, self.gain, "K_g (eq. 4)")
+        damping, damping_parameters = damping_signals(name, "m", self.damping)
+        error = reference.value.expression - position
         return Task(
             name=name,
             jacobian=jacobian,
             error=error,
-            feedforward=velocity.expression,
+            feedforward=reference.velocity.expression,
             gain=gain.expression,
-            damping=damping.expression,
-            inputs=(reference, velocity, gain, damping),
+            damping=damping,
+            parameters=(gain, *damping_parameters),
             diagnostics=(
                 result(f"{name}_position", position, (m,), "m", f"f_g(q), where frame {frame.name} is"),
                 result(f"{name}_error", error, (m,), "m", "r_g − f_g(q)"),
             ),
-            positions=(result(f"{name}_position", position, (m,), "m", f"position of frame {frame.name}"),),
-            jacobians=(
-                result(
-                    f"{name}_jacobian",
-                    jacobian,
-                    (m, chain.q.numel()),
-                    "m per joint unit",
-                    f"J_g = ∂f_g/∂q of frame {frame.name}",
-                ),
-            ),
+            values=(result(f"{name}_position", position, (m,), "m", f"position of frame {frame.name}"),),
+            jacobians=(jacobian_result(name, jacobian, "m", f"J_g = ∂f_g/∂q of frame {frame.name}"),),
+            references=(reference,),
         )
+
+    def _rows(self, dimension: int) -> list[int]:
+        """Which rows of the position the task holds; raises BadInput for z in the plane."""
+        rows = ["xyz".index(axis) for axis in self.axes or "xyz"[:dimension]]
+        if max(rows) >= dimension:
+            raise BadInput(f"task '{self.name}': a planar robot has the axes x and y, got z")
+        return rows

@@ -1,15 +1,14 @@
 """Obstacle avoidance at the points of interest: one scalar task that sums their potentials (eqs. 6-10)."""
 
+from dataclasses import replace
 from typing import Literal
 
-import casadi as ca
-
 from clikgen.runtime.documents import BadInput, NonNegative, Positive
-from clikgen.symbolic.chain import SerialChain
 from clikgen.symbolic.obstacles import Sensing
+from clikgen.symbolic.potential import Combine, potential_task
 from clikgen.symbolic.robot import Robot
-from clikgen.symbolic.signals import result, symbol
 from clikgen.symbolic.task import Task, TaskSpec
+from clikgen.symbolic.tree import KinematicTree
 
 
 class Spec(TaskSpec):
@@ -17,11 +16,13 @@ class Spec(TaskSpec):
 
     `gain` is K_o [1/s]; `damping` [m²] that of the pseudo-inverse: J_o goes to zero with the depth, so below
     a depth of damping/|uᵀJ_r| the task fades instead of switching (a tiny value keeps the paper's switch).
+    `combine` is "sum" for the paper's one row, or "rows" for one a point, which holds several contacts at once.
     """
 
     kind: Literal["obstacle_avoidance"]
     gain: NonNegative
     damping: Positive
+    combine: Combine = "sum"
 
     @property
     def equality(self) -> bool:
@@ -29,38 +30,16 @@ class Spec(TaskSpec):
         return False
 
     def dimension(self, robot: Robot) -> int:
-        """One row, however many points."""
-        return 1
+        """One row, however many points; or one a point."""
+        return 1 if self.combine == "sum" else len(robot.points_of_interest)
 
-    def build(self, chain: SerialChain, sensing: Sensing | None) -> Task:
+    def build(self, tree: KinematicTree, sensing: Sensing | None) -> Task:
         """V = Σ ½ x² (eq. 8) and J_o = Σ x uᵀ J_r (eq. 9), x = s − d where d ≤ s, else 0."""
-        name = self.name
         if sensing is None:
-            raise BadInput(f"task '{name}' wants points of interest and [obstacles] maximum >= 1")
-        potential = ca.SX(0)
-        jacobian = ca.SX.zeros(1, chain.q.numel())
-        for contact in sensing.contacts:
-            potential += contact.depth**2 / 2
-            jacobian += contact.depth * contact.approach
-        gain = symbol(f"{name}_gain", (), "1/s", "K_o (eq. 10)", "parameter", (0.0, 1e6), self.gain)
-        damping = symbol(f"{name}_damping", (), "m^2", "damping of J_o⁺", "parameter", (1e-9, 1e3), self.damping)
-        return Task(
-            name=name,
-            jacobian=jacobian,
-            error=-potential,
-            feedforward=ca.SX(0),
-            gain=gain.expression,
-            damping=damping.expression,
-            inputs=(gain, damping),
-            diagnostics=(result(f"{name}_potential", potential, (), "m^2", "V, sum of eq. 8"),),
-            positions=(),
-            jacobians=(
-                result(
-                    f"{name}_jacobian",
-                    jacobian,
-                    (chain.q.numel(),),
-                    "m^2 per joint unit",
-                    "J_o = ∂V/∂q, sum of eq. 9",
-                ),
-            ),
+            raise BadInput(f"task '{self.name}' wants points of interest and [obstacles] maximum >= 1")
+        pushes = (
+            replace(push, force=c.depth * push.force) for push, c in zip(sensing.pushes, sensing.contacts, strict=True)
+        )
+        return potential_task(
+            self.name, sensing.contacts, self.gain, self.damping, self.combine, gradient=tree.pullback(list(pushes))
         )

@@ -32,7 +32,7 @@ def complaint(run, *arguments: object, **environment: str) -> str:
 SPEC_MISTAKES = {
     "unknown key": ('law = "nsb"', 'lawx = "nsb"', ["lawx", "did you mean 'law'"]),
     "unknown key in a table": ("upper = 10.0", "uper = 10.0", ["robot.joints.0", "uper", "upper"]),
-    "missing key": ("lower = -10.0           # [m]\n", "", ["robot.joints.0.lower", "required"]),
+    "missing key": ("lower = -10.0           # [m]\n", "", ["robot.joints.0", "'base_x'", "lower and upper"]),
     "misspelt task kind": ('kind = "frame_position"', 'kind = "frame_postion"', ["tasks.1", "frame_position"]),
     "misspelt law": ('law = "nsb"', 'law = "nbs"', ["no law 'nbs'", "nsb"]),
     "misspelt filter": ('kind = "first_order"', 'kind = "second_order"', ["filter", "first_order"]),
@@ -50,7 +50,7 @@ SPEC_MISTAKES = {
         ["tool_gain", "symmetric positive definite"],
     ),
     "gain matrix not symmetric": ("gain = 4.0", "gain = [[4.0, 1.0], [0.0, 4.0]]", ["tool_gain", "symmetric"]),
-    "limits reversed": ("lower = -2.8", "lower = 28.0", ["lower < upper"]),
+    "limits reversed": ("lower = -2.8", "lower = 28.0", ["lower <= upper"]),
     "leaves the plane": ("axis = [0, 0, 1]", "axis = [0, 1, 0]", ["base_yaw", "plane"]),
     "two of a name": ('name = "base_y"', 'name = "base_x"', ["joint 'base_x' is there twice"]),
     "no room for obstacles": ("maximum = 3", "maximum = 0", ["[obstacles] maximum"]),
@@ -81,7 +81,7 @@ SCENARIO_MISTAKES = {
     "obstacle nowhere": ("center = [2.5, 0.0]", "", ["obstacles.0", "'center' or 'path'"]),
     "unknown trajectory": ('kind = "spline"', 'kind = "spiral"', ["references.tool", "spiral"]),
     "times that go back": ("times = [0.0, 3.5,", "times = [0.0, 30.5,", ["times that start at 0 and increase"]),
-    "reference for no task": ("[references.tool]", "[references.tools]", ["no tracking task 'tools'", "tool"]),
+    "reference for no task": ("[references.tool]", "[references.tools]", ["no reference 'tools'", "tool"]),
     "frequency above Nyquist": ("f_h = 5.0", "f_h = 80.0", ["f_h", "Nyquist", "50"]),
     "cutoff out of limits": ("filter_cutoff = 4.0", "filter_cutoff = -4.0", ["filter_cutoff", "-4.0"]),
 }

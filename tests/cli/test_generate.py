@@ -65,7 +65,7 @@ def test_own_spec_goes_to_the_working_folder_and_is_found_there(run_clikgen, lon
     assert (tmp_path / "generated" / "mine" / "mine.c").is_file()
     listed = json.loads(run_clikgen("list", "--json", cwd=tmp_path).stdout)
     states = {controller["name"]: controller["state"] for controller in listed["controllers"]}
-    assert states == {"mine": "spec unknown", "planar5": "fresh"}
+    assert states == {path.stem: "fresh" for path in shipped_specs()} | {"mine": "spec unknown"}
     outcome = run_clikgen("simulate", "paper", "--set", 'controller="mine"', "--json", cwd=tmp_path)
     assert json.loads(outcome.stdout)["controller"] == "mine"
 
@@ -82,7 +82,8 @@ def test_orphans_of_ours_go_and_other_files_stay(run_clikgen, generated_copy):
 
     from clikgen.symbolic.generate import difference, generate_file
 
-    controllers = dict([generate_file(SPEC)])
+    made = generate_file(SPEC)
+    controllers = {made.name: made.files}
     change = difference(controllers, generated_copy, complete=True)
     change.apply()
     assert not gone.exists()

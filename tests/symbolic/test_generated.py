@@ -57,14 +57,15 @@ def written(tmp_path):
 
 @pytest.mark.parametrize("path", shipped_specs(), ids=lambda path: path.stem)
 def test_files_on_disk_are_what_the_spec_generates(path):
-    name, files = generate_file(path)
+    made = generate_file(path)
+    name, files = made.name, made.files
     assert {file.name for file in (shipped_folder() / name).iterdir()} == set(files)
     for file, text in files.items():
         assert (shipped_folder() / name / file).read_text() == text, f"{file} is stale: run 'clikgen generate'"
 
 
 def test_every_shipped_controller_has_a_spec():
-    controllers = dict(generate_file(path) for path in shipped_specs())
+    controllers = {made.name: made.files for made in map(generate_file, shipped_specs())}
     assert not difference(controllers, shipped_folder(), complete=True)
 
 
@@ -73,7 +74,7 @@ def test_text_depends_neither_on_hash_seed_nor_on_folder(seed, planar5_spec_file
     program = (
         "import sys; from pathlib import Path\n"
         "from clikgen.symbolic.generate import generate_file\n"
-        "for name, text in generate_file(Path(sys.argv[1]))[1].items(): Path(name).write_text(text)"
+        "for name, text in generate_file(Path(sys.argv[1])).files.items(): Path(name).write_text(text)"
     )
     environment = os.environ | {"PYTHONHASHSEED": seed, "LC_ALL": "C", "TZ": "Asia/Tokyo"}
     command = [sys.executable, "-X", "utf8", "-c", program, str(planar5_spec_file)]

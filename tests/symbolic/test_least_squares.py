@@ -1,4 +1,4 @@
-"""The damped pseudo-inverse against numpy's factorisations."""
+"""The damped pseudo-inverse and its factorisation against numpy's."""
 
 from functools import cache
 
@@ -8,7 +8,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from clikgen.symbolic.least_squares import damped_pseudo_inverse_times
+from clikgen.symbolic.damping import ConstantDamping
+from clikgen.symbolic.least_squares import LdlFactor, damped_pseudo_inverse_times
 
 EPS = np.finfo(float).eps
 
@@ -16,7 +17,7 @@ EPS = np.finfo(float).eps
 @cache
 def _compiled(m, n):
     J, v, damping = ca.SX.sym("J", m, n), ca.SX.sym("v", m), ca.SX.sym("damping")
-    return ca.Function("f", [J, v, damping], [damped_pseudo_inverse_times(J, v, damping)])
+    return ca.Function("f", [J, v, damping], [damped_pseudo_inverse_times(J, v, ConstantDamping(damping))])
 
 
 def _solution(J, v, damping):
@@ -109,3 +110,59 @@ def test_repeated_rows_share_the_velocity():
     # x solves (2 + damping²) x = 2 v along the one direction there is: by hand 2·3/(2 + 0.25)
     x = _solution(np.array([[0.0, 1.0], [0.0, 1.0]]), np.array([3.0, 3.0]), 0.5)
     np.testing.assert_allclose(x, [0, 6 / 2.25], rtol=1e-15, atol=0)
+
+
+# ---- The factorisation ----
+
+
+@cache
+def _compiled_factor(m, k):
+    A, b = ca.SX.sym("A", m, m), ca.SX.sym("b", m, k)
+    factor = LdlFactor.of(A, ca.SX.zeros(m, 1))
+    return ca.Function(
+        "f", [A, b], [factor.solve(b), factor.trace_of_inverse(), factor.lower, ca.vertcat(*factor.pivots)]
+    )
+
+
+@pytest.mark.parametrize("m", range(1, 7))
+@pytest.mark.parametrize("k", [1, 3])
+def test_a_factor_solves_for_every_column_and_knows_the_trace_of_the_inverse(m, k):
+    rng = np.random.default_rng(10 * m + k)
+    for _ in range(20):
+        Q, _ = np.linalg.qr(rng.normal(size=(m, m)))
+        A = Q * rng.uniform(0.1, 10, m) @ Q.T
+        b = rng.normal(size=(m, k))
+        x, trace, L, d = (np.array(output) for output in _compiled_factor(m, k)(A, b))
+        np.testing.assert_allclose(L * d[:, 0] @ L.T, A, rtol=0, atol=1e-14)  # rounding of entries up to 10
+        np.testing.assert_allclose(x, np.linalg.solve(A, b), rtol=0, atol=1e-12)  # rounding times a condition of 100
+        np.testing.assert_allclose(trace[0, 0], np.trace(np.linalg.inv(A)), rtol=1e-12)
+
+
+def test_a_factor_reads_the_lower_triangle_alone():
+    A, b = np.array([[4.0, np.nan], [2.0, 3.0]]), np.array([[1.0], [2.0]])
+    np.testing.assert_allclose(_compiled_factor(2, 1)(A, b)[0], [[-0.125], [0.75]], rtol=1e-15)  # by hand
+
+
+def test_a_pivot_is_held_at_its_least_value():
+    factor = LdlFactor.of(ca.SX(ca.DM([[1, 1], [1, 1]])), ca.SX(ca.DM([0, 0.25])))
+    np.testing.assert_array_equal([float(pivot) for pivot in factor.pivots], [1, 0.25])
+
+
+def _instructions(expression):
+    return ca.Function("f", [ca.vertcat(*ca.symvar(expression))], [expression]).n_instructions()
+
+
+def test_a_diagonal_jacobian_costs_linear_time_even_when_its_zeros_are_stored():
+    """A task of joint limits: twice the rows is twice the work, and a dense one of 12 rows is far more."""
+
+    def cost(J):
+        m = J.shape[0]
+        return _instructions(damped_pseudo_inverse_times(J, ca.SX.sym("v", m), ConstantDamping(ca.SX.sym("a"))))
+
+    def diagonal(m):
+        return ca.diag(ca.SX.sym("j", m))
+
+    assert diagonal(6).is_dense() is False
+    assert cost(diagonal(24)) <= 2 * cost(diagonal(12)) <= 4 * cost(diagonal(6))
+    assert cost(ca.densify(diagonal(12))) == cost(diagonal(12))
+    assert cost(ca.SX.sym("J", 12, 12)) > 20 * cost(diagonal(12))

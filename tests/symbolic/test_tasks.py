@@ -4,6 +4,7 @@ import casadi as ca
 import numpy as np
 import pytest
 
+from clikgen.symbolic.damping import ConstantDamping
 from clikgen.symbolic.laws import nsb
 from clikgen.symbolic.task import Task
 
@@ -224,10 +225,10 @@ def _task(jacobian, velocity, error, gain, damping):
         error=ca.SX(error),
         feedforward=ca.SX(velocity),
         gain=ca.SX(gain),
-        damping=ca.SX(damping),
-        inputs=(),
+        damping=ConstantDamping(ca.SX(damping)),
+        parameters=(),
         diagnostics=(),
-        positions=(),
+        values=(),
         jacobians=(),
     )
 

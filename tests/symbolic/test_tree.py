@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from clikgen.symbolic.chain import SerialChain
 from clikgen.symbolic.robot import Robot
+from clikgen.symbolic.tree import KinematicTree
 
 # A position of size 10 m has a rounding unit of 1.8e-15 m, an angle of 20 rad one of 3.6e-15 rad; each result
 # adds some ten such terms.
@@ -64,10 +64,10 @@ def test_planar5_geometric_jacobians_equal_casadis_derivatives(planar5_spec, joi
 
 def _expect_jacobians_equal_derivatives(robot, points, joint_positions):
     q = ca.SX.sym("q", len(robot.joints))
-    chain = SerialChain.at(robot, q)
+    tree = KinematicTree.at(robot, q)
     for link, offset in points:
-        geometric = chain.position_jacobian(link, offset)
-        derivative = ca.jacobian(chain.position(link, offset), q)
+        geometric = tree.position_jacobian(link, offset)
+        derivative = ca.jacobian(tree.position(link, offset), q)
         assert geometric.shape == (robot.dimension, len(robot.joints))
         both = ca.Function("both", [q], [geometric, ca.densify(derivative)])
         for value in joint_positions:
@@ -116,11 +116,11 @@ def test_spatial_chain_poses_equal_scipys_rotations(seed):
     robot = _random_robot(seed)
     n = len(robot.joints)
     q = ca.SX.sym("q", n)
-    chain = SerialChain.at(robot, q)
+    tree = KinematicTree.at(robot, q)
     offset = (0.3, -0.7, 0.2)
     for count, link in enumerate([robot.root, *(joint.link for joint in robot.joints)]):
-        pose = chain.poses[link]
-        both = ca.Function("both", [q], [pose.rotation, pose.position, chain.position(link, offset)])
+        pose = tree.poses[link]
+        both = ca.Function("both", [q], [pose.rotation, pose.position, tree.position(link, offset)])
         for value in np.random.default_rng(seed).uniform(-3, 3, (10, n)):
             rotation, position, point = (np.array(ca.densify(part)) for part in both(value))
             expected = _pose_by_scipy(robot, value, count)
@@ -138,10 +138,10 @@ def test_spatial_chain_jacobians_equal_derivatives_and_differences(seed):
     joint_positions = np.random.default_rng(seed).uniform(-3, 3, (5, n))
     _expect_jacobians_equal_derivatives(robot, [(link, offset) for link in links], joint_positions)
     q = ca.SX.sym("q", n)
-    chain = SerialChain.at(robot, q)
+    tree = KinematicTree.at(robot, q)
     h = 1e-5
     for count, link in enumerate(links):
-        jacobian = ca.Function("jacobian", [q], [ca.densify(chain.position_jacobian(link, offset))])
+        jacobian = ca.Function("jacobian", [q], [ca.densify(tree.position_jacobian(link, offset))])
         for value in joint_positions:
             ends = [
                 [_pose_by_scipy(robot, value + sign * h * np.eye(n)[j], count) @ [*offset, 1] for j in range(n)]
@@ -154,7 +154,7 @@ def test_spatial_chain_jacobians_equal_derivatives_and_differences(seed):
 
 def test_joint_behind_a_point_has_a_column_of_exact_zeros(planar5_spec):
     q = ca.SX.sym("q", 5)
-    jacobian = SerialChain.at(planar5_spec.robot, q).position_jacobian("base", (0.15, 0.15, 0.0))
+    jacobian = KinematicTree.at(planar5_spec.robot, q).position_jacobian("base", (0.15, 0.15, 0.0))
     assert not ca.depends_on(jacobian, q[3:])
     assert jacobian[:, 3:].is_zero()
     assert not jacobian[:, 2].is_zero()
@@ -171,7 +171,7 @@ def test_right_angles_in_rpy_give_exact_zeros_and_ones():
         "velocity": 1,
     }
     robot = Robot.parse({"joints": [joint | {"rpy": [np.pi / 2, -np.pi / 2, np.pi]}]}, "a robot")
-    rotation = np.array(ca.DM(SerialChain.at(robot, ca.SX.sym("q", 1)).poses["b"].rotation))
+    rotation = np.array(ca.DM(KinematicTree.at(robot, ca.SX.sym("q", 1)).poses["b"].rotation))
     # By hand: x, y and z of the frame are mapped to +z, −x and −y.
     expected = Rotation.from_euler("xyz", [90, -90, 180], degrees=True).as_matrix()
     np.testing.assert_array_equal(rotation, np.round(expected))
