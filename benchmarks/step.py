@@ -5,17 +5,16 @@ The three are timed in turn, round after round in one process, on the paper's sc
 """
 
 import json
-import platform
 import statistics
 import sys
-import time
 from collections.abc import Callable
 from pathlib import Path
 
 import cffi
 import numpy as np
+from common import compiler, machine, per_call
 
-from clikgen.runtime.compiler import FLAGS, compile_library, find_compiler
+from clikgen.runtime.compiler import compile_library
 from clikgen.runtime.controller import CompiledController, find_controller
 from clikgen.runtime.scenario import CASES, find_scenario, read_scenario
 from clikgen.runtime.simulation import Run, prepare
@@ -80,19 +79,12 @@ def rollouts(run: Run) -> None:
         run.controller.rollout(run.steps, run.values)
 
 
-def per_call(work: Callable[[], object], calls: int) -> float:
-    """Nanoseconds per call."""
-    start = time.perf_counter_ns()
-    work()
-    return (time.perf_counter_ns() - start) / calls
-
-
 def report(cost: dict[str, float], named: int) -> None:
     bare = cost["bare C step"]
     budget = 5 * bare + 1500
     document = {
-        "machine": f"{processor()}, {platform.system()}, Python {platform.python_version()}",
-        "compiler": f"{find_compiler().version} {' '.join(FLAGS)}",
+        "machine": machine(),
+        "compiler": compiler(),
         "ns": {name: round(value) for name, value in cost.items()},
         "step(...) over its budget of 5 bare calls + 1.5 us": round(cost["step(...) from Python"] / budget, 3),
         "C rollout over bare": round(cost["C rollout"] / bare, 3),
@@ -109,14 +101,6 @@ def report(cost: dict[str, float], named: int) -> None:
         print(f"{name + note:<40}{value:8.0f} ns   {value / bare:6.2f} x bare")
     print(f"\nstep(...) / (5 bare + 1.5 us) = {cost['step(...) from Python'] / budget:.2f}   (at most 1)")
     print(f"C rollout / bare              = {cost['C rollout'] / bare:.2f}   (at most 1.3)")
-
-
-def processor() -> str:
-    """The processor's name, where the system tells it."""
-    info = Path("/proc/cpuinfo")
-    lines = info.read_text().splitlines() if info.exists() else []
-    name = next((line.split(":")[1].strip() for line in lines if line.startswith("model name")), platform.machine())
-    return f"{name}, {sum(line.startswith('processor') for line in lines) or '?'} cores"
 
 
 if __name__ == "__main__":

@@ -9,9 +9,11 @@ typedef struct {
   clikgen_function function;
   const double **arg;
   double **res;
+  long long int *iw;
+  double *w;
 } clikgen_evaluation;
 
-int clikgen_evaluate(const clikgen_evaluation *one) { return one->function(one->arg, one->res, 0, 0, 0); }
+int clikgen_evaluate(const clikgen_evaluation *one) { return one->function(one->arg, one->res, one->iw, one->w, 0); }
 
 /* The same function called `times` times over arrays, whose pointers it moves.
  *

@@ -18,7 +18,9 @@ from clikgen.runtime.manifest import FunctionInfo, Manifest, SignalInfo, load_ma
 Array = NDArray[np.float64]
 
 _ffi = cffi.FFI()
-_ffi.cdef("typedef struct { void *function; const double **arg; double **res; } clikgen_evaluation;")
+_ffi.cdef(
+    "typedef struct { void *function; const double **arg; double **res; long long *iw; double *w; } clikgen_evaluation;"
+)
 _FUNCTION = "int {}(const double **, double **, long long *, double *, int);"  # CasADi's calling convention
 _CALLS = """
 int clikgen_evaluate(const clikgen_evaluation *);
@@ -105,11 +107,13 @@ class CompiledFunction:
             raise RuntimeError(f"{self.info.symbol} returned {failed}")
 
     def _evaluation(self, inputs: Mapping[str, Array], outputs: Mapping[str, Array]) -> tuple[Any, Any]:
-        """The function with these buffers, as C wants it, and the pointer tables that have to outlive its use."""
+        """The function with these buffers, as C wants it, and the tables and room that have to outlive its use."""
         arg = _ffi.new("const double *[]", _pointers(inputs, self.info.sz_arg))
         res = _ffi.new("double *[]", _pointers(outputs, self.info.sz_res))
+        iw, w = _ffi.new("long long[]", max(self.info.sz_iw, 1)), _ffi.new("double[]", max(self.info.sz_w, 1))
         function = _ffi.cast("void *", getattr(self._library, self.info.symbol))
-        return _ffi.new("clikgen_evaluation *", {"function": function, "arg": arg, "res": res}), (arg, res)
+        evaluation = {"function": function, "arg": arg, "res": res, "iw": iw, "w": w}
+        return _ffi.new("clikgen_evaluation *", evaluation), (arg, res, iw, w)
 
 
 def _buffer(signal: SignalInfo) -> Array:

@@ -83,7 +83,10 @@ def is_positive_definite(matrix: NDArray[np.float64]) -> bool:
 
 
 class FunctionInfo(Document):
-    """One generated function in CasADi's C calling convention, with what a call needs."""
+    """One generated function in CasADi's C calling convention, with what a call needs.
+
+    `instructions` are carried out in one evaluation; the arrays arg, res, iw and w want room for `sz_...` entries.
+    """
 
     name: str
     symbol: str
@@ -93,6 +96,8 @@ class FunctionInfo(Document):
     instructions: int
     sz_arg: int
     sz_res: int
+    sz_iw: int
+    sz_w: int
 
     def input(self, name: str) -> SignalInfo:
         """The input called `name`; raises BadInput with the valid names."""

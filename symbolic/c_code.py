@@ -75,7 +75,8 @@ def _declarations(function: FunctionInfo) -> str:
         text += f"void {symbol}_defaults({symbol}_input *input);\n\n"
     text += "/* One evaluation; `output` may not overlap `input`. Returns 0. */\n"
     text += f"int {symbol}_call(const {symbol}_input *input, {symbol}_output *output);\n\n"
-    text += "/* The same in CasADi's calling convention; iw and w may be null, mem is 0. */\n"
+    room = f"iw wants {function.sz_iw} entries, w {function.sz_w}" if function.sz_w else "iw and w may be null"
+    text += f"/* The same in CasADi's calling convention; {room}, mem is 0. */\n"
     text += f"int {symbol}(const double **arg, double **res, long long int *iw, double *w, int mem);\n"
     return text
 
@@ -118,7 +119,9 @@ def _helpers(function: FunctionInfo) -> str:
     text += f"int {symbol}_call(const {symbol}_input *input, {symbol}_output *output) {{\n"
     text += _pointers("const double *", "arg", "input", function.inputs, function.sz_arg)
     text += _pointers("double *", "res", "output", function.outputs, function.sz_res)
-    text += f"  return {symbol}(arg, res, 0, 0, 0);\n}}\n"
+    if function.sz_w:
+        text += f"  long long int iw[{function.sz_iw + 1}];\n  double w[{function.sz_w}];\n"
+    text += f"  return {symbol}(arg, res, {'iw, w' if function.sz_w else '0, 0'}, 0);\n}}\n"
     return text
 
 

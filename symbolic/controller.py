@@ -8,7 +8,7 @@ import casadi as ca
 
 from clikgen.runtime.documents import BadInput
 from clikgen.symbolic import laws
-from clikgen.symbolic.obstacles import Obstacles, Sensing
+from clikgen.symbolic.obstacles import Loop, Obstacles, Sensing
 from clikgen.symbolic.signals import Signal, result, symbol
 from clikgen.symbolic.spec import ControllerSpec
 from clikgen.symbolic.task import Task
@@ -24,6 +24,7 @@ class ControllerFunction:
     inputs: tuple[Signal, ...]
     outputs: tuple[Signal, ...]
     casadi: ca.Function
+    instructions: int  # carried out in one evaluation
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -59,12 +60,14 @@ def build(spec: ControllerSpec) -> Controller:
     built = ((task, task.build(tree, sensing)) for task in spec.tasks)
     tasks = [one.limited(task.speed) if task.speed else one for task, one in built]
     inputs, outputs = _step(spec, tree, q, sensing, tasks)
+    loop = sensing.loop if sensing else None
+    jacobians = _jacobians(tree, tasks)
     return Controller(
         spec,
         (
             _function(spec, "kinematics", "where everything is at q", inputs, _positions(tree, tasks)),
-            _function(spec, "jacobians", "how everything moves with q̇ at q", inputs, _jacobians(tree, tasks)),
-            _function(spec, "step", "one period of the loop (eqs. 4-19)", inputs, outputs),
+            _function(spec, "jacobians", "how everything moves with q̇ at q", inputs, jacobians, loop),
+            _function(spec, "step", "one period of the loop (eqs. 4-19)", inputs, outputs, loop),
         ),
         tuple(tasks),
     )
@@ -153,21 +156,40 @@ def _jacobians(tree: KinematicTree, tasks: Sequence[Task]) -> list[Signal]:
 
 
 def _function(
-    spec: ControllerSpec, name: str, description: str, inputs: Sequence[Signal], outputs: Sequence[Signal]
+    spec: ControllerSpec,
+    name: str,
+    description: str,
+    inputs: Sequence[Signal],
+    outputs: Sequence[Signal],
+    loop: Loop | None = None,
 ) -> ControllerFunction:
     """The function of the state and the inputs it depends on, common subexpressions shared; raises BadInput."""
     columns = [signal.column for signal in outputs]
     together = ca.vertcat(*columns)
-    used = tuple(signal for signal in inputs if signal.info.role == "state" or ca.depends_on(together, signal.column))
+    if loop and not ca.depends_on(together, ca.vertcat(ca.vec(loop.distance), ca.vec(loop.toward))):
+        loop = None
+    sensed = {signal.info.name for signal in loop.obstacles} if loop else set()
+    used = tuple(
+        signal
+        for signal in inputs
+        if signal.info.role == "state" or signal.info.name in sensed or ca.depends_on(together, signal.column)
+    )
     names = [signal.info.name for signal in (*used, *outputs)]
     for signal_name in names:
         if names.count(signal_name) > 1:
             raise BadInput(f"two signals are called '{signal_name}': give the task another name")
-    function = ca.Function(
-        f"{spec.name}_{name}",
-        [signal.column for signal in used],
-        ca.cse(columns),
-        [signal.info.name for signal in used],
-        [signal.info.name for signal in outputs],
+    symbol_name, given = f"{spec.name}_{name}", [signal.column for signal in used]
+    labels = [signal.info.name for signal in used], [signal.info.name for signal in outputs]
+    if loop is None:
+        function = ca.Function(symbol_name, given, ca.cse(columns), *labels)
+        return ControllerFunction(name, description, used, tuple(outputs), function, function.n_instructions())
+    after = ca.Function("after_sensing", [*given, loop.distance, loop.toward], ca.cse(columns))
+    before = ca.Function("before_sensing", [used[0].column], [ca.cse(loop.places)])
+    values = [ca.MX.sym(label, column.numel()) for label, column in zip(labels[0], given, strict=True)]
+    obstacles = [values[labels[0].index(signal.info.name)] for signal in loop.obstacles]
+    distance, toward = loop.run(before(values[0]), obstacles)
+    function = ca.Function(symbol_name, values, after.call([*values, distance, toward]), *labels)
+    instructions = (
+        before.n_instructions() + loop.places.shape[1] * loop.closest.n_instructions() + after.n_instructions()
     )
-    return ControllerFunction(name, description, used, tuple(outputs), function)
+    return ControllerFunction(name, description, used, tuple(outputs), function, instructions)

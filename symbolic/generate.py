@@ -60,15 +60,18 @@ def generate_file(path: Path) -> Generated:
 
 def _function_info(function: ControllerFunction) -> FunctionInfo:
     compiled = function.casadi
+    looped = compiled.is_a("MXFunction")  # the others keep their temporaries in local variables
     return FunctionInfo(
         name=function.name,
         symbol=compiled.name(),
         description=function.description,
         inputs=tuple(signal.info for signal in function.inputs),
         outputs=tuple(signal.info for signal in function.outputs),
-        instructions=compiled.n_instructions(),
+        instructions=function.instructions,
         sz_arg=compiled.sz_arg(),
         sz_res=compiled.sz_res(),
+        sz_iw=compiled.sz_iw() if looped else 0,
+        sz_w=compiled.sz_w() if looped else 0,
     )
 
 

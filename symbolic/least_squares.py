@@ -1,5 +1,6 @@
 """Damped least squares: one factorisation, used as often as it is wanted."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Self
 
@@ -18,7 +19,7 @@ class LdlFactor:
     A structural zero of A costs nothing: with a diagonal A everything below is O(m).
     """
 
-    lower: ca.SX  # L, (m, m), sparse, ones on its diagonal
+    rows: tuple[Mapping[int, ca.SX], ...]  # of L below its diagonal of ones, what is not structurally zero
     pivots: tuple[ca.SX, ...]  # the diagonal of D
 
     @classmethod
@@ -28,20 +29,26 @@ class LdlFactor:
         A smaller pivot is rounding noise, zero or below, and dividing by it would send the solution anywhere.
         `least` is (m, 1), in the unit of A. The held factors are those of A + E with |E| of the order of `least`.
         """
-        L, d = ca.SX.eye(A.shape[0]), list[ca.SX]()
+        rows, d = list[dict[int, ca.SX]](), list[ca.SX]()
         for i in range(A.shape[0]):
+            row: dict[int, ca.SX] = {}
             for j in range(i):
-                entry = A[i, j] - sum(L[i, k] * d[k] * L[j, k] for k in range(j))
+                entry = A[i, j] - sum(row[k] * d[k] * rows[j][k] for k in row if k in rows[j])
                 if not entry.is_zero():
-                    L[i, j] = entry / d[j]
-            d.append(ca.fmax(A[i, i] - sum(L[i, k] ** 2 * d[k] for k in range(i)), least[i]))
-        return cls(L, tuple(d))
+                    row[j] = entry / d[j]
+            d.append(ca.fmax(A[i, i] - sum(row[k] ** 2 * d[k] for k in row), least[i]))
+            rows.append(row)
+        return cls(tuple(rows), tuple(d))
 
     def solve(self, b: ca.SX) -> ca.SX:
         """A⁻¹ b for b (m, k), shape (m, k)."""
         x = self._forward(b)
+        columns: list[list[int]] = [[] for _ in x]  # where L has an entry below its diagonal
+        for k, row in enumerate(self.rows):
+            for i in row:
+                columns[i].append(k)
         for i in reversed(range(len(x))):
-            x[i] = x[i] / self.pivots[i] - sum(self.lower[k, i] * x[k] for k in range(i + 1, len(x)))
+            x[i] = x[i] / self.pivots[i] - sum(self.rows[k][i] * x[k] for k in columns[i])
         return ca.vertcat(*x)
 
     def trace_of_inverse(self) -> ca.SX:
@@ -52,8 +59,8 @@ class LdlFactor:
     def _forward(self, b: ca.SX) -> list[ca.SX]:
         """The rows of L⁻¹ b."""
         x: list[ca.SX] = []
-        for i in range(b.shape[0]):
-            x.append(b[i, :] - sum(self.lower[i, k] * x[k] for k in range(i)))
+        for i, row in enumerate(self.rows):
+            x.append(b[i, :] - sum(row[k] * x[k] for k in row))
         return x
 
 

@@ -1,6 +1,6 @@
 """Obstacles, balls, capsules and half-spaces that may move, and what every point of interest senses of them."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Annotated, Self
 
@@ -14,6 +14,7 @@ from clikgen.symbolic.distances import COINCIDENT, nearest_on_segment
 from clikgen.symbolic.signals import Signal, symbol
 from clikgen.symbolic.tree import KinematicTree, Push
 
+UNROLLED = 64  # pairs of points and obstacles; more of them are looped over, as the code would outgrow the cache
 Capacity = Annotated[int, Field(strict=True, ge=0, le=100)]
 
 
@@ -69,6 +70,11 @@ class Obstacles:
         """The signals the controller has to be given."""
         return tuple(self.signals.values())
 
+    @property
+    def places(self) -> int:
+        """How many obstacles there can be, of all kinds."""
+        return self.capacity.maximum + self.capacity.capsules + self.capacity.half_spaces
+
     def closest(self, point: ca.SX) -> tuple[ca.SX, ca.SX]:
         """D and u of eqs. 8-9 for the closest obstacle to `point` (dimension, 1).
 
@@ -104,6 +110,35 @@ class Obstacles:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class Loop:
+    """The search for the closest obstacle as one small function called for each point, not unrolled for all.
+
+    The contacts are then expressions of `distance` and `toward`, which that function fills in.
+    """
+
+    places: ca.SX  # (dimension, points) [m], of q
+    closest: ca.Function  # a place and the obstacles -> d and u
+    obstacles: tuple[Signal, ...]
+    distance: ca.SX  # (1, points) symbols
+    toward: ca.SX  # (dimension, points) symbols
+
+    @classmethod
+    def over(cls, obstacles: Obstacles, places: ca.SX) -> Self:
+        """The loop over all `places` (dimension, points)."""
+        dimension, points = places.shape
+        place = ca.SX.sym("place", dimension)
+        inputs = [place, *(signal.column for signal in obstacles.inputs)]
+        closest = ca.Function("closest", inputs, ca.cse(list(obstacles.closest(place))))
+        symbols = ca.SX.sym("distance", 1, points), ca.SX.sym("toward", dimension, points)
+        return cls(places, closest, obstacles.inputs, *symbols)
+
+    def run(self, places: ca.MX, obstacles: Sequence[ca.MX]) -> list[ca.MX]:
+        """D (1, points) and u (dimension, points) for the values of places and obstacles."""
+        shared = list(range(1, 1 + len(obstacles)))  # the same for every point
+        return list(self.closest.map("sensing", "serial", places.shape[1], shared, [])(places, *obstacles))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Sensing:
     """All points of interest against all obstacles."""
 
@@ -111,6 +146,7 @@ class Sensing:
     influence_radius: Signal  # (points,)
     contacts: tuple[Contact, ...]
     pushes: tuple[Push, ...]  # of each point, the unit vector toward its obstacle
+    loop: Loop | None
 
     @classmethod
     def of(cls, tree: KinematicTree, obstacles: Obstacles) -> Self:
@@ -125,14 +161,16 @@ class Sensing:
             (1e-6, 1e3),
             [point.influence_radius for point in points],
         )
+        places = ca.horzcat(*(tree.position(point.link, point.offset) for point in points))
+        loop = Loop.over(obstacles, places) if len(points) * obstacles.places > UNROLLED else None
         contacts, pushes = [], []
         for i, point in enumerate(points):
-            place = tree.position(point.link, point.offset)
-            distance, toward = obstacles.closest(place)
+            place = places[:, i]
+            distance, toward = (loop.distance[i], loop.toward[:, i]) if loop else obstacles.closest(place)
             approach = toward.T @ tree.position_jacobian(point.link, point.offset)
             contacts.append(Contact.of(distance, radius.expression[i], approach))
             pushes.append(Push(point.link, place, toward))
-        return cls(obstacles, radius, tuple(contacts), tuple(pushes))
+        return cls(obstacles, radius, tuple(contacts), tuple(pushes), loop)
 
     @property
     def inputs(self) -> tuple[Signal, ...]:

@@ -2,7 +2,7 @@
  *
  * planar 3R arm: its tool follows a path, through and beyond the edge of its reach, near a posture
  *
- * Tasks, the highest priority first, under the law 'augmented':
+ * Tasks, the highest priority first, under the law 'nsb':
  *   1. tool (frame_position)
  *   2. posture (posture)
  *
@@ -73,14 +73,14 @@ typedef struct planar3_step_input {
   double tool_reference[2];
   /* its time derivative [m/s]; -1e+06 to 1e+06 */
   double tool_reference_velocity[2];
-  /* K_g (eq. 4), symmetric positive definite [1/s]; default {20, 0, 0, 20}; -10000 to 10000 */
+  /* K_g (eq. 4), symmetric positive definite [1/s]; default {10, 0, 0, 10}; -10000 to 10000 */
   double tool_gain[2][2];
   /* greatest damping of J⁺, at a singularity [m]; default 0.1; 1e-09 to 1000 */
   double tool_damping;
-  /* damping of J⁺ sets in where its least singular value falls below this [m]; default 0.1; 1e-09
+  /* damping of J⁺ sets in where its least singular value falls below this [m]; default 0.2; 1e-09
    * to 1000 */
   double tool_near_singularity;
-  /* largest norm of the feedback K e [1/s of the error]; default 1; 1e-06 to 1e+06 */
+  /* largest norm of the feedback K e [1/s of the error]; default 0.5; 1e-06 to 1e+06 */
   double tool_speed;
   /* r, where these joints should be: shoulder, elbow, wrist [rad, rad, rad]; -1e+06 to 1e+06 */
   double posture_reference[3];
@@ -88,6 +88,11 @@ typedef struct planar3_step_input {
   double posture_reference_velocity[3];
   /* diagonal of K [1/s]; default 2; 0 to 10000 */
   double posture_gain[3];
+  /* greatest damping of J⁺, at a singularity [1]; default 0.05; 1e-09 to 1000 */
+  double posture_damping;
+  /* damping of J⁺ sets in where its least singular value falls below this [1]; default 0.05; 1e-09
+   * to 1000 */
+  double posture_near_singularity;
   /* velocity limits: shoulder, elbow, wrist [rad/s, rad/s, rad/s]; default 2; 1e-06 to 1e+06 */
   double velocity_limit[3];
   /* f_c of each joint (eq. 15) [Hz]; default 10; 1e-06 to 1e+06 */

@@ -119,9 +119,11 @@ def test_repeated_rows_share_the_velocity():
 def _compiled_factor(m, k):
     A, b = ca.SX.sym("A", m, m), ca.SX.sym("b", m, k)
     factor = LdlFactor.of(A, ca.SX.zeros(m, 1))
-    return ca.Function(
-        "f", [A, b], [factor.solve(b), factor.trace_of_inverse(), factor.lower, ca.vertcat(*factor.pivots)]
-    )
+    L = ca.SX.eye(m)
+    for i, row in enumerate(factor.rows):
+        for j, entry in row.items():
+            L[i, j] = entry
+    return ca.Function("f", [A, b], [factor.solve(b), factor.trace_of_inverse(), L, ca.vertcat(*factor.pivots)])
 
 
 @pytest.mark.parametrize("m", range(1, 7))
