@@ -29,6 +29,7 @@ from scipy.optimize import minimize
 from scipy.stats import qmc
 
 from clikgen.analysis.discrete_filter import beta_of
+from clikgen.analysis.tracking import damping_at, greatest_damping
 from clikgen.runtime.controller import CompiledController
 from clikgen.runtime.documents import BadInput
 from clikgen.runtime.manifest import Manifest
@@ -104,7 +105,8 @@ class PlanarChain:
 
 def jacobians(controller: CompiledController, q: Array) -> Array:
     """J of the tracking task at q (N, n), shape (N, m, n)."""
-    return controller.jacobians.map(len(q), {"q": q})[f"{controller.manifest.tracking_task().name}_jacobian"]
+    J = controller.jacobians.map(len(q), {"q": q})[f"{controller.manifest.tracking_task().name}_jacobian"]
+    return J.reshape(len(q), -1, q.shape[1])  # a task of one row has a vector
 
 
 def singular_values(controller: CompiledController, q: Array) -> Array:
@@ -203,6 +205,9 @@ def _turned_by(rotation: Array, angle: Array) -> bool:
     return bool(np.all(np.abs(np.exp(1j * (heading - heading[0] - angle)) - 1) < CONSTANT))
 
 
+INNER = 0.8  # of the joint ranges: what is regular there does not touch a task that keeps the limits
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class _Boxes:
     """A set of configurations: boxes of half the width `half` (n,) around `centers` (K, n)."""
@@ -245,8 +250,9 @@ def _joint_limits(manifest: Manifest) -> _Boxes:
 
 
 def regular_configuration(controller: CompiledController) -> Array:
-    """A configuration far from singular ones, (n,): the largest σ_min of many within the joint limits."""
-    q, _ = _joint_limits(controller.manifest).samples(SAMPLES)
+    """A configuration far from singular ones, (n,): the largest σ_min of many in the inner part of the joint limits."""
+    limits = _joint_limits(controller.manifest)
+    q, _ = replace(limits, half=INNER * limits.half).samples(SAMPLES)
     return np.asarray(q[np.argmax(singular_values(controller, q)[:, -1])])
 
 
@@ -283,7 +289,7 @@ def _bounds(controller: CompiledController, boxes: _Boxes, where: str) -> Bounds
         sigma_min = float(np.sqrt(max(0.0, -least)))
     sigma_max = chain.sigma_max if chain else boxes.largest(lambda q: singular_values(controller, q)[:, 0])[0]
     name = controller.manifest.controller
-    task = controller.manifest.tracking_task().name
+    task = controller.manifest.position_task().name
     if sigma_min < SINGULAR * sigma_max:
         raise BadInput(
             f"{name}: the Jacobian of task '{task}' is singular {where}: σ = {sigma_min:.2g} at "
@@ -543,12 +549,15 @@ def _edge(holds: Callable[[float], bool], start: float) -> float:
 # ---- The certificate of a run ----
 
 
-def tuning_of(manifest: Manifest, parameters: Mapping[str, Array]) -> Tuning:
+def tuning_of(manifest: Manifest, parameters: Mapping[str, Array], bounds: Bounds) -> Tuning:
     """The tuning that the step's parameters make while nothing is active (λ of eq. 17 is lam_free).
+
+    Selective damping counts as none where the bounds keep it at rest, else at its greatest.
 
     Raises BadInput where the joints have different cut-offs: J A_β J⁺ is then no multiple of I.
     """
-    task = manifest.tracking_task().name
+    tracking = manifest.position_task()
+    task = tracking.name
     cutoff: float | None = None
     share = float(parameters["lam_free"]) if "lam_free" in parameters else 1.0
     if "filter_cutoff" in parameters and share > 0:
@@ -562,7 +571,7 @@ def tuning_of(manifest: Manifest, parameters: Mapping[str, Array]) -> Tuning:
     return Tuning(
         gains=tuple(gains.tolist()),
         period=float(parameters["period"]),
-        damping=float(parameters[f"{task}_damping"]),
+        damping=greatest_damping(parameters, task, bounds.sigma_min, tracking.dimension),
         cutoff=cutoff,
         share=share,
     )
@@ -570,7 +579,7 @@ def tuning_of(manifest: Manifest, parameters: Mapping[str, Array]) -> Tuning:
 
 def motion_of(controller: CompiledController, rollout: Rollout) -> Motion:
     """The reference's v and a as they were sampled, and what lower tasks did while nothing was active."""
-    task = rollout.manifest.tracking_task().name
+    task = rollout.manifest.position_task().name
     position, velocity = rollout.scenario.references[task].sample(rollout.t)
     null_velocity, leak = _lower_tasks(controller, rollout, task, velocity)
     reference = reference_motion(position, velocity, rollout.period)
@@ -598,7 +607,8 @@ def _lower_tasks(controller: CompiledController, rollout: Rollout, task: str, ve
         return 0.0, 0.0
     J = jacobians(controller, rollout.q[:-1][free])
     wanted = velocity[free] + rollout.signals[f"{task}_error"][free] @ rollout.parameters[f"{task}_gain"].T
-    damped = J @ J.swapaxes(1, 2) + float(rollout.parameters[f"{task}_damping"]) ** 2 * np.eye(J.shape[1])
+    damping = np.array([damping_at(rollout.parameters, task, one) for one in J])
+    damped = J @ J.swapaxes(1, 2) + damping[:, None, None] ** 2 * np.eye(J.shape[1])
     own = np.einsum("cmn,cm->cn", J, np.linalg.solve(damped, wanted[:, :, None])[:, :, 0])
     added = rollout.signals["dq_law"][free] - own
     in_task = np.einsum("cmn,cn->cm", J, added)
@@ -620,4 +630,4 @@ def certify(
     """
     rollout = run.in_c() if isinstance(run, Run) else run
     bounds = bounds_within_limits(controller) if over == "limits" else bounds_along(controller, rollout, margin)
-    return certificate(bounds, motion_of(controller, rollout), tuning_of(rollout.manifest, rollout.parameters))
+    return certificate(bounds, motion_of(controller, rollout), tuning_of(rollout.manifest, rollout.parameters, bounds))

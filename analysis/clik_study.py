@@ -223,7 +223,7 @@ def _map_plates(found: StabilityMap) -> list[Plate]:
 
 def _gains_and_cutoff(run: Run) -> tuple[float, float, float]:
     """Smallest and largest eigenvalue of K_g [1/s], and the least f_c [Hz]; raises BadInput without K_g."""
-    eigenvalues = np.linalg.eigvalsh(run.values[f"{run.controller.manifest.tracking_task().name}_gain"])
+    eigenvalues = np.linalg.eigvalsh(run.values[f"{run.controller.manifest.position_task().name}_gain"])
     return float(eigenvalues[0]), float(eigenvalues[-1]), float(np.min(run.values["filter_cutoff"]))
 
 

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from scipy.signal import chirp, csd, welch
 
 from clikgen.analysis.certificate import regular_configuration
+from clikgen.analysis.tracking import alone, references_at
 from clikgen.runtime.controller import CompiledController
 from clikgen.runtime.documents import BadInput
 
@@ -77,10 +78,9 @@ def measure_response(
     is too short to estimate from.
     """
     values = _filter_inputs(controller, cutoff, period)
-    tracking = controller.manifest.tracking_task()
-    T = float(values["period"])
-    velocity = _excitation(excitation, steps, tracking.dimension, seed)
-    values |= {"q": regular_configuration(controller), f"{tracking.name}_reference_velocity": velocity}
+    T, moved = float(values["period"]), f"{controller.manifest.tracking_task().name}_reference_velocity"
+    velocity = _excitation(excitation, steps, values[moved].size, seed)
+    values |= {"q": regular_configuration(controller), moved: velocity}
     run = controller.rollout(steps, values)
     raw = run["q"][:-1, joint] + T * run["dq_law"][:, joint]
     put_in, came_out = np.diff(raw, prepend=raw[0]), np.diff(run["q"][:, joint])
@@ -107,13 +107,13 @@ def _filter_inputs(controller: CompiledController, cutoff: float | None, period:
     for name in given.keys() - values.keys():
         info = step.input(name)
         values[name] = np.reshape(info.default, info.shape)
-    tracking = controller.manifest.tracking_task()
-    position = controller.kinematics(q=regular_configuration(controller))[f"{tracking.name}_position"].copy()
-    return values | {
-        "lam_free": np.array(1.0),
-        f"{tracking.name}_reference": position,
-        f"{tracking.name}_reference_velocity": np.full(tracking.dimension, 0.1),
-    }
+    moved = f"{controller.manifest.tracking_task().name}_reference_velocity"
+    return (
+        alone(controller.manifest)
+        | references_at(controller, regular_configuration(controller))
+        | values
+        | {"lam_free": np.array(1.0), moved: np.full(step.input(moved).shape, 0.1)}
+    )
 
 
 def _excitation(kind: Excitation, steps: int, dimension: int, seed: int) -> Array:

@@ -10,6 +10,7 @@ from clikgen.analysis.certificate import regular_configuration
 from clikgen.analysis.clik_loop import Loop, pole_radius
 from clikgen.analysis.discrete_filter import beta_of
 from clikgen.analysis.measured_filter import estimate
+from clikgen.analysis.tracking import alone
 from clikgen.runtime.controller import CompiledController
 from clikgen.runtime.documents import BadInput
 
@@ -37,7 +38,7 @@ def measure_loop(
     that the controller does not take.
     """
     values = _values(controller, gain, period, cutoff)
-    task = controller.manifest.tracking_task().name
+    task = controller.manifest.position_task().name
     place = values.pop("place")
     reference = place + AMPLITUDE * np.random.default_rng(seed).standard_normal((STEPS + 1, place.size))
     moving = {f"{task}_reference": reference[:-1], f"{task}_reference_velocity": np.diff(reference, axis=0) / period}
@@ -52,7 +53,7 @@ def measure_ramp_lag(controller: CompiledController, gain: float, period: float,
     Raises BadInput for values that the controller does not take.
     """
     values = _values(controller, gain, period, cutoff)
-    task = controller.manifest.tracking_task().name
+    task = controller.manifest.position_task().name
     place = values.pop("place")
     pole = pole_radius(Loop("A", period, 1.0 if cutoff is None else beta_of(cutoff, period)), gain)
     steps = int(np.ceil(12 / -np.log(min(max(pole, 0.5), 1 - 1e-12))))
@@ -70,10 +71,11 @@ def _values(controller: CompiledController, gain: float, period: float, cutoff: 
     """Inputs of the step without obstacles; under "place" where the tracked frame is at the start."""
     if not gain > 0:
         raise BadInput(f"gain: wanted more than 0, got {gain:g}")
-    step, task = controller.manifest.function("step"), controller.manifest.tracking_task().name
+    step, task = controller.manifest.function("step"), controller.manifest.position_task().name
     given: dict[str, ArrayLike] = {f"{task}_gain": gain, "period": period, "lam_free": 0.0 if cutoff is None else 1.0}
     if cutoff is not None:
         given["filter_cutoff"] = cutoff
     q = regular_configuration(controller)
     place = controller.kinematics(q=q)[f"{task}_position"].copy()
-    return {name: step.input(name).value(value, name) for name, value in given.items()} | {"q": q, "place": place}
+    values = {name: step.input(name).value(value, name) for name, value in given.items()}
+    return alone(controller.manifest) | values | {"q": q, "place": place}

@@ -26,6 +26,7 @@ from clikgen.analysis.certificate import (
 from clikgen.analysis.clik_loop import Loop, gain_bound
 from clikgen.analysis.discrete_filter import beta_of
 from clikgen.analysis.metrics import rms
+from clikgen.analysis.tracking import alone, damping_at, without_limits
 from clikgen.runtime.controller import CompiledController
 from clikgen.runtime.documents import BadInput
 from clikgen.runtime.manifest import FunctionInfo
@@ -70,15 +71,16 @@ def boundary(
 ) -> list[BoundaryPoint]:
     """The measured stability boundary of the compiled loop at a set point, from an error of 1e-6 m.
 
-    The filter is always on or off. At `q`, default a regular configuration; `parameters` of the step are at their
-    defaults where not given. Raises BadInput for a name or a value that the controller does not take.
+    The filter is always on or off, no limit is met, and no other task moves the robot. At `q`, default a regular
+    configuration; `parameters` of the step are at their defaults where not given. Raises BadInput for a name or a
+    value that the controller does not take.
     """
     step, name = controller.manifest.function("step"), controller.manifest.controller
     values = {
         key: step.input(key).value(value, f"{name}: {key}") for key, value in {**_defaults(step), **parameters}.items()
     }
     place = regular_configuration(controller) if q is None else step.input("q").value(q, f"{name}: q")
-    values |= {"q": place, "lam_free": np.array(1.0 if filtered else 0.0)}
+    values |= alone(controller.manifest) | {"q": place, "lam_free": np.array(1.0 if filtered else 0.0)}
     points = []
     for period in periods:
         T = step.input("period").value(period, f"{name}: period")
@@ -94,11 +96,11 @@ def _defaults(step: FunctionInfo) -> dict[str, Array]:
 
 def _boundary_point(controller: CompiledController, values: dict[str, Array], filtered: bool) -> BoundaryPoint:
     """One sampling time: the error starts along the eigenvector of J A_β J^# that loses stability first."""
-    task, T = controller.manifest.tracking_task().name, float(values["period"])
+    task, T = controller.manifest.position_task().name, float(values["period"])
     J = jacobians(controller, values["q"][None])[0]
     cutoffs = values["filter_cutoff"]
     beta = [beta_of(float(cutoff), T) if filtered else 1.0 for cutoff in cutoffs]
-    gram = J @ J.T + float(values[f"{task}_damping"]) ** 2 * np.eye(len(J))
+    gram = J @ J.T + damping_at(values, task, J) ** 2 * np.eye(len(J))
     # J A Jᵀ against J Jᵀ + λ²I: a symmetric pencil, whose eigenvalues are those of J A_β J^#
     shares, vectors = eigh((J * beta) @ J.T, gram)
     first = gram @ vectors[:, -1]
@@ -125,7 +127,7 @@ def _decays(controller: CompiledController, values: dict[str, Array], gain: floa
 
     Its end alone would not tell: what has grown may carry the arm to another configuration, where it dies.
     """
-    task = controller.manifest.tracking_task().name
+    task = controller.manifest.position_task().name
     K = gain * np.eye(values[f"{task}_reference"].size)
     size = _size(controller.rollout(STEPS, values | {f"{task}_gain": K})[f"{task}_error"])
     return bool(size[1:].max() < size[0])
@@ -215,11 +217,12 @@ def _row(run: Run, bounds: Bounds, gains: Sequence[float], transient: float) -> 
     task = bounds.task
     reference, velocity = run.values[f"{task}_reference"], run.values[f"{task}_reference_velocity"]
     motion = reference_motion(reference, velocity, run.period)
-    tuning = replace(tuning_of(run.controller.manifest, run.values), gains=tuple(gains[:1]))
+    tuning = replace(tuning_of(run.controller.manifest, run.values, bounds), gains=tuple(gains[:1]))
+    values = {**run.values, **without_limits(run.controller.step.info)}
     largest, tracked_rms, ultimate = [], [], []
     for gain in gains:
         K = gain * np.eye(reference.shape[1])
-        error = run.controller.rollout(run.steps, {**run.values, f"{task}_gain": K})[f"{task}_error"]
+        error = run.controller.rollout(run.steps, {**values, f"{task}_gain": K})[f"{task}_error"]
         size = _size(error[int(transient * run.steps) :])
         largest.append(float(size.max()))
         tracked_rms.append(rms(size))

@@ -225,6 +225,12 @@ class Manifest(Document):
         return tuple(task for task in self.tasks if task.tracks)
 
     def tracking_task(self) -> TaskInfo:
+        """The tracking task of the highest priority; raises BadInput without one."""
+        if not self.tracking_tasks:
+            raise BadInput(f"{self.controller}: wanted a tracking task, got none")
+        return self.tracking_tasks[0]
+
+    def position_task(self) -> TaskInfo:
         """The tracking task of the highest priority that is a position alone; raises BadInput without one."""
         for task in self.tracking_tasks:
             if task.kind == "frame_position":
