@@ -3,16 +3,15 @@
 K moments of the rollout's N steps; a planar robot lies in the plane z = 0.
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from clikgen.runtime.controller import CompiledController
-from clikgen.runtime.manifest import FAR, Manifest
+from clikgen.runtime.manifest import FAR, FrameInfo, Manifest
 from clikgen.runtime.simulation import Rollout
 
 Array = NDArray[np.float64]
@@ -178,8 +177,8 @@ def scene(controller: CompiledController, rollout: Rollout, steps: Sequence[int]
     # Link poses and points depend on q alone, so that further inputs (a target to look at) keep their defaults.
     seen = controller.kinematics.map(len(chosen), {"q": rollout.q[chosen]})
     pose = seen["link_pose"]  # (K, links, 3, 4), [R | p] of world_T_link
-    paths = tuple(_paths(manifest, rollout))
-    pieces = tuple(_segments(manifest, pose, [path.traced[chosen] for path in paths]))
+    paths = tuple(_paths(controller, rollout))
+    pieces = tuple(_segments(manifest, pose))
     turning = [link for joint, link in zip(manifest.joints, manifest.joint_links, strict=True) if joint.unit == "rad"]
     clearance = rollout.signals.get("clearance")
     return Scene(
@@ -202,7 +201,7 @@ def scene(controller: CompiledController, rollout: Rollout, steps: Sequence[int]
             for i, wall in enumerate(rollout.scenario.half_spaces)
         ),
         paths=paths,
-        triads=tuple(_triads(manifest, rollout, pose, chosen)),
+        triads=tuple(_triads(controller, rollout, chosen)),
         targets=tuple(
             Target(one.task, _in_space(rollout.scenario.references[one.name].sample(rollout.t[chosen])[0]))
             for one in manifest.references
@@ -230,8 +229,8 @@ def _fixed_to(pose: Array, offsets: Array) -> Array:
 # The robot.
 
 
-def _segments(manifest: Manifest, pose: Array, tips: Sequence[Array]) -> Iterator[Segment]:
-    """From every link's parent to the link, and from the links to the tracked frames (K, 3) that they carry."""
+def _segments(manifest: Manifest, pose: Array) -> Iterator[Segment]:
+    """From every link's parent to the link, and from the links to the tracked frames that they carry."""
     names = [link.name for link in manifest.links]
     on_wheels = _gliding(manifest)
     for i, link in enumerate(manifest.links):
@@ -240,11 +239,20 @@ def _segments(manifest: Manifest, pose: Array, tips: Sequence[Array]) -> Iterato
         segment = Segment(link.name, start, pose[:, i, :, 3])
         if link.name not in on_wheels and np.max(segment.length) > SHORTEST:
             yield segment
-    for tip in tips:
-        i = _carrier(pose, partial(_seen_from, tip), _apart(pose, tip))
-        segment = Segment(names[i], pose[:, i, :, 3], tip)
-        if np.max(segment.length) > SHORTEST:
-            yield segment
+    for task in manifest.tracking_tasks:
+        if task.frame and task.frame.link in names:
+            link_pose = pose[:, names.index(task.frame.link)]
+            segment = Segment(task.frame.link, link_pose[:, :, 3], _place(task.frame, manifest, pose))
+            if np.max(segment.length) > SHORTEST:
+                yield segment
+
+
+def _place(frame: FrameInfo, manifest: Manifest, pose: Array) -> Array:
+    """Where a frame is, (K, 3) [m], for link poses (K, links, 3, 4)."""
+    names = [link.name for link in manifest.links]
+    root = np.tile(np.eye(3, 4), (len(pose), 1, 1))
+    link = pose[:, names.index(frame.link)] if frame.link in names else root
+    return _fixed_to(link, np.array([frame.xyz]))[:, 0]
 
 
 def _gliding(manifest: Manifest) -> set[str]:
@@ -256,24 +264,6 @@ def _gliding(manifest: Manifest) -> set[str]:
         if types.get(link.name, "prismatic") == "prismatic" and (link.parent in ways or link.parent not in names):
             ways[link.name] = (*ways.get(link.parent, ()), link.name)
     return {link for way in ways.values() if sum(link in types for link in way) >= 2 for link in way}
-
-
-def _carrier(pose: Array, seen: Callable[[Array], Array], apart: Array) -> int:
-    """The link, the least `apart` (links,), from which what is `seen` (K, ...) never changes; else the least apart."""
-    change = [float(np.max(np.ptp(seen(pose[:, i]), axis=0))) for i in range(pose.shape[1])]
-    return int(np.argmin(apart + np.where(np.array(change) < RIGID, 0.0, FAR)))
-
-
-def _seen_from(place: Array, link: Array) -> Array:
-    """A place (K, 3) in the axes of a link with pose (K, 3, 4)."""
-    seen: Array = np.einsum("kij,ki->kj", link[:, :, :3], place - link[:, :, 3])
-    return seen
-
-
-def _apart(pose: Array, place: Array) -> Array:
-    """Mean distance of every link's origin to a place (K, 3), (links,) [m]."""
-    mean: Array = np.linalg.norm(pose[..., 3] - place[:, None], axis=2).mean(axis=0)
-    return mean
 
 
 def _reach(manifest: Manifest, segments: Sequence[Segment]) -> float:
@@ -319,35 +309,30 @@ def _obstacles(rollout: Rollout, steps: NDArray[np.intp]) -> Iterator[Capsule]:
         yield Capsule(f"capsule_{i}", start, end, capsule.radius)
 
 
-def _paths(manifest: Manifest, rollout: Rollout) -> Iterator[Path]:
-    """Those with a place in the world; a task that holds some axes of one only has none."""
+def _paths(controller: CompiledController, rollout: Rollout) -> Iterator[Path]:
+    """Of every tracked frame; where a task holds some axes only, what is commanded follows the frame along the rest."""
+    manifest = controller.manifest
+    pose = controller.kinematics.map(len(rollout.t), {"q": rollout.q[:-1]})["link_pose"]
     for task in manifest.tracking_tasks:
-        traced = rollout.signals[f"{task.name}_position"]
-        if traced.shape[1] == manifest.dimension:
-            commanded = rollout.scenario.references[task.name].sample(rollout.t)[0]
-            yield Path(task.name, _in_space(commanded), _in_space(traced))
+        if task.frame:
+            traced = _place(task.frame, manifest, pose)
+            commanded = traced.copy()
+            commanded[:, list(task.axes)] = rollout.scenario.references[task.name].sample(rollout.t)[0]
+            yield Path(task.name, commanded, traced)
 
 
-def _triads(manifest: Manifest, rollout: Rollout, pose: Array, steps: NDArray[np.intp]) -> Iterator[Triad]:
-    """At the frame's own position where a task tracks it, else at a tracked frame or link that it turns with."""
-    places = {path.task: path.traced[steps] for path in _paths(manifest, rollout)}
+def _triads(controller: CompiledController, rollout: Rollout, steps: NDArray[np.intp]) -> Iterator[Triad]:
+    """At the frame whose orientation follows a reference."""
+    manifest = controller.manifest
+    pose = controller.kinematics.map(len(steps), {"q": rollout.q[steps]})["link_pose"]
+    frames = {task.name: task.frame for task in manifest.tasks}
     for reference in manifest.references:
-        if reference.space != "rotation" or reference.name not in rollout.scenario.references:
+        frame = frames[reference.task]
+        if reference.space != "rotation" or frame is None or reference.name not in rollout.scenario.references:
             continue
         commanded = _matrices(rollout.scenario.references[reference.name].sample(rollout.t[steps])[0])
         actual = _matrices(rollout.signals[f"{reference.task}_orientation"][steps])
-        origin = places.get(reference.task)
-        if origin is None:
-            origin = _place_of_a_turning_frame(pose, actual, list(places.values()))
-        yield Triad(reference.task, origin, commanded, actual)
-
-
-def _place_of_a_turning_frame(pose: Array, actual: Array, places: Sequence[Array]) -> Array:
-    """Where to draw a frame with orientation (K, 3, 3) of unknown position: on the last link it turns with, (K, 3)."""
-    outermost = -np.arange(pose.shape[1], dtype=np.float64)
-    link = pose[:, _carrier(pose, lambda each: each[:, :, :3].swapaxes(1, 2) @ actual, outermost)]
-    fixed = [place for place in places if np.max(np.ptp(_seen_from(place, link), axis=0)) < RIGID]
-    return fixed[0] if fixed else link[:, :, 3]
+        yield Triad(reference.task, _place(frame, manifest, pose), commanded, actual)
 
 
 def _matrices(quaternions: Array) -> Array:

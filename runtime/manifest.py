@@ -156,10 +156,19 @@ class PointInfo(Document):
     offset: Vector
 
 
+class FrameInfo(Document):
+    """A frame fixed to a link at `xyz` [m], in the link's frame."""
+
+    name: str
+    link: str
+    xyz: Vector
+
+
 class TaskInfo(Document):
     """A task, in priority order: its kind, its number of rows, and whether it `tracks` a position in the world.
 
-    One that does has the outputs `<name>_position` and `<name>_error` and the reference `<name>`, in metres.
+    One that does has the outputs `<name>_position` and `<name>_error` and the reference `<name>`, in metres, all
+    along its `axes` of the world (0, 1, 2). `frame` is what the task moves, where it moves one.
     """
 
     name: str
@@ -167,6 +176,8 @@ class TaskInfo(Document):
     equality: bool
     dimension: int
     tracks: bool = False
+    axes: tuple[int, ...] = ()
+    frame: FrameInfo | None = None
 
 
 class ReferenceInfo(Document):

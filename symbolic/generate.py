@@ -9,6 +9,7 @@ from pathlib import Path
 from clikgen.runtime.documents import TEMPORARY_SUFFIX, BadInput, commit_all, json_text
 from clikgen.runtime.manifest import (
     BodyInfo,
+    FrameInfo,
     FunctionInfo,
     InputInfo,
     JointInfo,
@@ -21,7 +22,9 @@ from clikgen.runtime.manifest import (
 )
 from clikgen.symbolic import c_code
 from clikgen.symbolic.controller import Controller, ControllerFunction, build
+from clikgen.symbolic.robot import Robot
 from clikgen.symbolic.spec import ControllerSpec, read_spec_file
+from clikgen.symbolic.task import TaskSpec
 
 
 def generate(spec: ControllerSpec) -> dict[str, str]:
@@ -118,7 +121,9 @@ def _manifest(controller: Controller, functions: Iterable[FunctionInfo], sources
                 kind=task.kind,
                 equality=task.equality,
                 dimension=task.dimension(robot),
-                tracks=task.tracks,
+                tracks=bool(task.tracked_axes(robot)),
+                axes=task.tracked_axes(robot),
+                frame=_frame_info(robot, task),
             )
             for task in spec.tasks
         ),
@@ -138,6 +143,15 @@ def _manifest(controller: Controller, functions: Iterable[FunctionInfo], sources
         filter=spec.filter.kind,
         functions=tuple(functions),
     )
+
+
+def _frame_info(robot: Robot, task: TaskSpec) -> FrameInfo | None:
+    """The frame of a task whose table names one."""
+    name = dict(task).get("frame")
+    if name is None:
+        return None
+    frame = robot.frame(name)
+    return FrameInfo(name=frame.name, link=frame.link, xyz=frame.xyz)
 
 
 @dataclass(frozen=True, slots=True)

@@ -93,10 +93,9 @@ class TaskSpec(Document, ABC):
     def equality(self) -> bool:
         """True for a task that holds always, False for one that acts only on one side of a boundary."""
 
-    @property
-    def tracks(self) -> bool:
-        """Whether it makes a frame's position follow a reference in the world."""
-        return False
+    def tracked_axes(self, robot: Robot) -> tuple[int, ...]:
+        """The world axes (0, 1, 2) along which it makes a frame's position follow a reference; none by default."""
+        return ()
 
     @abstractmethod
     def dimension(self, robot: Robot) -> int:

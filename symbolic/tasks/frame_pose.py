@@ -43,10 +43,9 @@ class Spec(TaskSpec):
         """Tracking holds always."""
         return True
 
-    @property
-    def tracks(self) -> bool:
-        """Its position follows a path."""
-        return True
+    def tracked_axes(self, robot: Robot) -> tuple[int, ...]:
+        """All of them."""
+        return (0, 1, 2)
 
     def dimension(self, robot: Robot) -> int:
         """Six: a velocity, then an angular velocity."""

@@ -46,10 +46,12 @@ class Spec(TaskSpec):
         """Tracking holds always."""
         return True
 
-    @property
-    def tracks(self) -> bool:
-        """It follows a path."""
-        return True
+    def tracked_axes(self, robot: Robot) -> tuple[int, ...]:
+        """Those of `axes`; raises BadInput for z in the plane."""
+        axes = tuple("xyz".index(axis) for axis in self.axes or "xyz"[: robot.dimension])
+        if max(axes) >= robot.dimension:
+            raise BadInput(f"task '{self.name}': a planar robot has the axes x and y, got z")
+        return axes
 
     def dimension(self, robot: Robot) -> int:
         """One row an axis: 2 in the plane, 3 in space, unless `axes` says less."""
@@ -59,7 +61,7 @@ class Spec(TaskSpec):
         """The error r_g − f_g(q) [m], the geometric Jacobian of the frame, and ṙ_g as feedforward."""
         m, name = self.dimension(tree.robot), self.name
         frame = tree.robot.frame(self.frame)
-        rows = self._rows(tree.robot.dimension)
+        rows = list(self.tracked_axes(tree.robot))
         position = tree.position(frame.link, frame.xyz)[rows]
         jacobian = tree.position_jacobian(frame.link, frame.xyz)[rows, :]
         reference = vector_reference(name, m, "m", f"r_g, where frame {frame.name} should be")
@@ -82,10 +84,3 @@ class Spec(TaskSpec):
             jacobians=(jacobian_result(name, jacobian, "m", f"J_g = ∂f_g/∂q of frame {frame.name}"),),
             references=(reference,),
         )
-
-    def _rows(self, dimension: int) -> list[int]:
-        """Which rows of the position the task holds; raises BadInput for z in the plane."""
-        rows = ["xyz".index(axis) for axis in self.axes or "xyz"[:dimension]]
-        if max(rows) >= dimension:
-            raise BadInput(f"task '{self.name}': a planar robot has the axes x and y, got z")
-        return rows

@@ -100,7 +100,7 @@ def test_a_full_gain_couples_position_and_orientation(one_task, two_arms, pose_o
 
 def test_it_tracks_and_has_two_references(pose):
     (task,) = pose.controller.tasks
-    assert pose.controller.spec.tasks[0].tracks
+    assert pose.controller.spec.tasks[0].tracked_axes(None) == (0, 1, 2)
     assert [(one.name, one.space) for one in task.references] == [("aim", "vector"), ("aim_orientation", "rotation")]
 
 
