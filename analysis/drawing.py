@@ -131,16 +131,22 @@ def poses(controller: CompiledController, rollout: Rollout, steps: Sequence[int]
 
 
 def _link_polygons(manifest: Manifest, pose: Array, tip: Array) -> tuple[Array, ...]:
-    """The outlines of the links, (K, vertices, 2) each; bars from joint to joint where the spec has none."""
+    """The outlines of the links, (K, vertices, 2) each; bars from link to link where the spec has none."""
     drawn = [(i, np.array(link.outline)) for i, link in enumerate(manifest.links) if link.outline]
     if drawn:
         return tuple(outline @ pose[:, i, :2, :3].swapaxes(1, 2) + pose[:, i, None, :2, 3] for i, outline in drawn)
-    corners = np.concatenate([pose[:, :, :2, 3], tip[:, None]], axis=1)  # (K, links + 1, 2)
-    along = np.diff(corners, axis=1)
+    names = [link.name for link in manifest.links]
+    held = manifest.tracking_tasks[0].frame
+    ends = [
+        (names.index(link.parent), pose[:, i, :2, 3]) for i, link in enumerate(manifest.links) if link.parent in names
+    ]
+    ends += [(names.index(held.link), tip)] if held and held.link in names else []
+    start = np.stack([pose[:, i, :2, 3] for i, _ in ends], axis=1)  # (K, bars, 2)
+    end = np.stack([place for _, place in ends], axis=1)
+    along = end - start
     length = np.linalg.norm(along, axis=2, keepdims=True)
     across = along[..., ::-1] * [-1, 1] * (_BAR * length.sum(axis=1, keepdims=True) / np.maximum(length, 1e-9))
-    start, end = corners[:, :-1], corners[:, 1:]
-    bars = np.stack([start + across, end + across, end - across, start - across], axis=2)  # (K, links, 4, 2)
+    bars = np.stack([start + across, end + across, end - across, start - across], axis=2)  # (K, bars, 4, 2)
     return tuple(bars.swapaxes(0, 1))
 
 

@@ -16,6 +16,7 @@ from clikgen.analysis.plates import Plate
 from clikgen.analysis.simulation_study import simulation_study
 from clikgen.analysis.study import Study, Table
 from clikgen.runtime.controller import CompiledController
+from clikgen.runtime.documents import BadInput
 from clikgen.runtime.manifest import Manifest
 from clikgen.runtime.scenario import CASES, Scenario
 from clikgen.runtime.simulation import prepare
@@ -71,9 +72,10 @@ def scenario_studies(
     source: str = "scenario",
     progress: Callable[[str], None] = drawing.ignore,
 ) -> list[Study]:
-    """Every study of a scenario: simulation, filter, CLIK loop and, where there is contact, chatter.
+    """Every study of a scenario: simulation, filter, and where they speak of it CLIK loop and chatter.
 
-    Raises BadInput where the scenario does not fit its controller.
+    The loop is studied for a task of kind frame_position, chatter where there is contact; a study that cannot be
+    made says why. Raises BadInput where the scenario does not fit its controller.
     """
     progress("simulating")
     rollouts = {number: prepare(controller, scenario, case, source).in_c() for number, case in CASES.items()}
@@ -82,11 +84,19 @@ def scenario_studies(
     progress("measuring the compiled filter")
     studies.append(filter_study(controller, float(np.min(parameters["filter_cutoff"])), rollouts[1].period))
     progress("measuring the compiled loop over gain and sampling time")
-    studies.append(clik_study(controller, scenario, source))
+    studies.append(_or_why_not("CLIK loop", lambda: clik_study(controller, scenario, source)))
     if any(rollout.active.any() for rollout in rollouts.values()):
         progress("predicting and measuring chatter")
-        studies.append(chatter_study(controller, scenario, source))
+        studies.append(_or_why_not("Chatter", lambda: chatter_study(controller, scenario, source)))
     return studies
+
+
+def _or_why_not(title: str, study: Callable[[], Study]) -> Study:
+    """The study, or in its place the one line that says why the theory does not speak of this controller."""
+    try:
+        return study()
+    except BadInput as error:
+        return Study(title, [f"Not studied: {error}."], [], [], [], {"not_studied": str(error)})
 
 
 def html_report(

@@ -44,7 +44,7 @@ class Rollout:
     def title(self) -> str:
         """What the case does with the law, as in "NSB + filter"."""
         law = self.manifest.law
-        return self.case.title.format(law="NSB" if law == "nsb" else f"{law} law")
+        return self.case.title.format(law="NSB" if law == "nsb" else law)
 
     @property
     def q(self) -> Array:

@@ -178,3 +178,11 @@ def test_controller_without_a_tracking_task_is_one_line(run_clikgen, in_folder):
     outcome = run_clikgen("analyse", "filter", "shy")
     assert outcome.returncode == 2
     assert outcome.stderr == "clikgen: error: shy: wanted a task of kind frame_position, got none\n"
+
+
+def test_report_of_a_robot_that_tracks_a_pose_says_what_was_not_studied(run_clikgen, tmp_path):
+    outcome = run_clikgen("analyse", "report", "shelf", "--set", "duration=2.0", "--json", cwd=tmp_path)
+    assert outcome.returncode == 0, outcome.stderr
+    document = json.loads(outcome.stdout)
+    assert "frame_position" in document["CLIK loop"]["not_studied"]
+    assert "Not studied" in (tmp_path / "report" / "report.html").read_text()
