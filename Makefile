@@ -4,7 +4,7 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: demo test bench clean
+.PHONY: demo test bench growth clean
 
 demo: $(VENV)/ready
 	$(BIN)/clikgen demo
@@ -19,6 +19,9 @@ test: $(VENV)/ready
 
 bench: $(VENV)/ready
 	$(BIN)/python benchmarks/step.py
+
+growth: $(VENV)/ready
+	$(BIN)/python benchmarks/growth.py
 
 $(VENV)/ready: pyproject.toml requirements.lock
 	$(PYTHON) -m venv --clear $(VENV)

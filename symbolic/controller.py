@@ -168,12 +168,8 @@ def _function(
     together = ca.vertcat(*columns)
     if loop and not ca.depends_on(together, ca.vertcat(ca.vec(loop.distance), ca.vec(loop.toward))):
         loop = None
-    sensed = {signal.info.name for signal in loop.obstacles} if loop else set()
-    used = tuple(
-        signal
-        for signal in inputs
-        if signal.info.role == "state" or signal.info.name in sensed or ca.depends_on(together, signal.column)
-    )
+    needed = ca.vertcat(together, *map(ca.vec, loop.shapes.arrays)) if loop else together
+    used = tuple(signal for signal in inputs if signal.info.role == "state" or ca.depends_on(needed, signal.column))
     names = [signal.info.name for signal in (*used, *outputs)]
     for signal_name in names:
         if names.count(signal_name) > 1:
@@ -183,13 +179,10 @@ def _function(
     if loop is None:
         function = ca.Function(symbol_name, given, ca.cse(columns), *labels)
         return ControllerFunction(name, description, used, tuple(outputs), function, function.n_instructions())
+    before = ca.Function("before_sensing", given, ca.cse([loop.places, *loop.shapes.arrays]))
     after = ca.Function("after_sensing", [*given, loop.distance, loop.toward], ca.cse(columns))
-    before = ca.Function("before_sensing", [used[0].column], [ca.cse(loop.places)])
     values = [ca.MX.sym(label, column.numel()) for label, column in zip(labels[0], given, strict=True)]
-    obstacles = [values[labels[0].index(signal.info.name)] for signal in loop.obstacles]
-    distance, toward = loop.run(before(values[0]), obstacles)
-    function = ca.Function(symbol_name, values, after.call([*values, distance, toward]), *labels)
-    instructions = (
-        before.n_instructions() + loop.places.shape[1] * loop.closest.n_instructions() + after.n_instructions()
-    )
+    places, *shapes = before.call(values)
+    function = ca.Function(symbol_name, values, after.call([*values, *loop.run(places, shapes)]), *labels)
+    instructions = before.n_instructions() + places.shape[1] * loop.closest.n_instructions() + after.n_instructions()
     return ControllerFunction(name, description, used, tuple(outputs), function, instructions)

@@ -1,7 +1,7 @@
 """Obstacles, balls, capsules and half-spaces that may move, and what every point of interest senses of them."""
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Annotated, Self
 
 import casadi as ca
@@ -75,38 +75,76 @@ class Obstacles:
         """How many obstacles there can be, of all kinds."""
         return self.capacity.maximum + self.capacity.capsules + self.capacity.half_spaces
 
+    @property
+    def shapes(self) -> "Shapes":
+        """What they are in space, those that are not there out of the way."""
+        at = {name: signal.expression for name, signal in self.signals.items()}
+        nothing, none = ca.SX(0, self.dimension), ca.SX(0, 1)
+        return Shapes(
+            at.get("obstacle_center", nothing),
+            _where_there(at["obstacle_radius"], at["obstacle_count"], -FAR) if "obstacle_radius" in at else none,
+            at.get("capsule_start", nothing),
+            at.get("capsule_end", nothing),
+            _where_there(at["capsule_radius"], at["capsule_count"], -FAR) if "capsule_radius" in at else none,
+            _where_there(at["half_space_normal"], at["half_space_count"], 0) if "half_space_normal" in at else nothing,
+            _where_there(at["half_space_offset"], at["half_space_count"], -4 * FAR)
+            if "half_space_offset" in at
+            else none,
+        )
+
+
+def _where_there(values: ca.SX, count: ca.SX, absent: float) -> ca.SX:
+    """The first `count` rows of the values (k, any), and `absent` instead of the rest."""
+    return ca.vertcat(*(ca.if_else(k < count, values[k, :], absent) for k in range(values.shape[0])))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Shapes:
+    """Balls, capsules and half-spaces in space: a row each, radii and offsets far negative where there is none."""
+
+    center: ca.SX  # (balls, dimension) [m]
+    radius: ca.SX  # (balls, 1) [m]
+    start: ca.SX  # (capsules, dimension) [m]
+    end: ca.SX  # (capsules, dimension) [m]
+    thickness: ca.SX  # (capsules, 1) [m]
+    normal: ca.SX  # (half-spaces, dimension)
+    offset: ca.SX  # (half-spaces, 1) [m]
+
+    @property
+    def arrays(self) -> tuple[ca.SX, ...]:
+        """All of them, in order."""
+        return tuple(getattr(self, field.name) for field in fields(self))
+
+    def symbols(self) -> "Shapes":
+        """As many shapes, of new symbols."""
+        return Shapes(*(ca.SX.sym("shape", *array.shape) for array in self.arrays))
+
     def closest(self, point: ca.SX) -> tuple[ca.SX, ca.SX]:
         """D and u of eqs. 8-9 for the closest obstacle to `point` (dimension, 1).
 
         d [m] is the distance to its surface, negative inside it and FAR without an obstacle; u (dimension, 1) is
         the unit vector toward its nearest point or axis, +x where the point sits on a centre or axis.
         """
-        first_axis = ca.SX.eye(self.dimension)[:, 0]
-        distance, toward, norm = ca.SX(FAR), first_axis, ca.SX(1)
-        for there, distance_k, toward_k, norm_k in self._each(point):
-            seen = ca.if_else(there, distance_k, FAR)
-            closer = seen < distance
-            distance = ca.if_else(closer, seen, distance)
+        first_axis = ca.SX.eye(point.numel())[:, 0]
+        distance, toward = ca.SX(FAR), first_axis
+        for distance_k, toward_k in self._each(point):
+            closer = distance_k < distance
+            distance = ca.if_else(closer, distance_k, distance)
             toward = ca.if_else(closer, toward_k, toward)
-            norm = ca.if_else(closer, norm_k, norm)
+        norm = ca.sqrt(ca.sumsqr(toward))
         return distance, ca.if_else(norm > COINCIDENT, toward / norm, first_axis)
 
-    def _each(self, point: ca.SX) -> Iterator[tuple[ca.SX, ca.SX, ca.SX, ca.SX]]:
-        """Of every obstacle: whether it is there, its distance [m], a vector toward it and that vector's norm."""
-        at = {name: signal.expression for name, signal in self.signals.items()}
-        for k in range(self.capacity.maximum):
-            toward = at["obstacle_center"][k, :].T - point
-            norm = ca.sqrt(ca.sumsqr(toward))
-            yield k < at["obstacle_count"], norm - at["obstacle_radius"][k], toward, norm
-        for k in range(self.capacity.capsules):
-            start, end = at["capsule_start"][k, :].T, at["capsule_end"][k, :].T
-            toward = nearest_on_segment(start, end, point) - point
-            norm = ca.sqrt(ca.sumsqr(toward))
-            yield k < at["capsule_count"], norm - at["capsule_radius"][k], toward, norm
-        for k in range(self.capacity.half_spaces):
-            normal = at["half_space_normal"][k, :].T
-            distance = ca.dot(normal, point) - at["half_space_offset"][k]
-            yield k < at["half_space_count"], distance, -normal, ca.SX(1)
+    def _each(self, point: ca.SX) -> Iterator[tuple[ca.SX, ca.SX]]:
+        """Of every obstacle its distance [m] and a vector toward it."""
+        for k in range(self.radius.numel()):
+            toward = self.center[k, :].T - point
+            yield ca.sqrt(ca.sumsqr(toward)) - self.radius[k], toward
+        for k in range(self.thickness.numel()):
+            toward = nearest_on_segment(self.start[k, :].T, self.end[k, :].T, point) - point
+            yield ca.sqrt(ca.sumsqr(toward)) - self.thickness[k], toward
+        for k in range(self.offset.numel()):
+            normal = self.normal[k, :].T
+            yield ca.dot(normal, point) - self.offset[k], -normal
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -117,25 +155,24 @@ class Loop:
     """
 
     places: ca.SX  # (dimension, points) [m], of q
-    closest: ca.Function  # a place and the obstacles -> d and u
-    obstacles: tuple[Signal, ...]
+    shapes: Shapes
+    closest: ca.Function  # a place and the shapes -> d and u
     distance: ca.SX  # (1, points) symbols
     toward: ca.SX  # (dimension, points) symbols
 
     @classmethod
-    def over(cls, obstacles: Obstacles, places: ca.SX) -> Self:
+    def over(cls, shapes: Shapes, places: ca.SX) -> Self:
         """The loop over all `places` (dimension, points)."""
         dimension, points = places.shape
-        place = ca.SX.sym("place", dimension)
-        inputs = [place, *(signal.column for signal in obstacles.inputs)]
-        closest = ca.Function("closest", inputs, ca.cse(list(obstacles.closest(place))))
+        place, others = ca.SX.sym("place", dimension), shapes.symbols()
+        closest = ca.Function("closest", [place, *others.arrays], ca.cse(list(others.closest(place))))
         symbols = ca.SX.sym("distance", 1, points), ca.SX.sym("toward", dimension, points)
-        return cls(places, closest, obstacles.inputs, *symbols)
+        return cls(places, shapes, closest, *symbols)
 
-    def run(self, places: ca.MX, obstacles: Sequence[ca.MX]) -> list[ca.MX]:
-        """D (1, points) and u (dimension, points) for the values of places and obstacles."""
-        shared = list(range(1, 1 + len(obstacles)))  # the same for every point
-        return list(self.closest.map("sensing", "serial", places.shape[1], shared, [])(places, *obstacles))
+    def run(self, places: ca.MX, shapes: Sequence[ca.MX]) -> list[ca.MX]:
+        """D (1, points) and u (dimension, points) for the values of places and shapes."""
+        shared = list(range(1, 1 + len(shapes)))  # the same for every point
+        return list(self.closest.map("sensing", "serial", places.shape[1], shared, [])(places, *shapes))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -162,11 +199,12 @@ class Sensing:
             [point.influence_radius for point in points],
         )
         places = ca.horzcat(*(tree.position(point.link, point.offset) for point in points))
-        loop = Loop.over(obstacles, places) if len(points) * obstacles.places > UNROLLED else None
+        shapes = obstacles.shapes
+        loop = Loop.over(shapes, places) if len(points) * obstacles.places > UNROLLED else None
         contacts, pushes = [], []
         for i, point in enumerate(points):
             place = places[:, i]
-            distance, toward = (loop.distance[i], loop.toward[:, i]) if loop else obstacles.closest(place)
+            distance, toward = (loop.distance[i], loop.toward[:, i]) if loop else shapes.closest(place)
             approach = toward.T @ tree.position_jacobian(point.link, point.offset)
             contacts.append(Contact.of(distance, radius.expression[i], approach))
             pushes.append(Push(point.link, place, toward))

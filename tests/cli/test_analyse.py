@@ -177,7 +177,7 @@ def test_controller_without_a_tracking_task_is_one_line(run_clikgen, in_folder):
     assert run_clikgen("generate", "shy.toml").returncode == 0
     outcome = run_clikgen("analyse", "filter", "shy")
     assert outcome.returncode == 2
-    assert outcome.stderr == "clikgen: error: shy: wanted a task of kind frame_position, got none\n"
+    assert outcome.stderr == "clikgen: error: shy: wanted a tracking task, got none\n"
 
 
 def test_report_of_a_robot_that_tracks_a_pose_says_what_was_not_studied(run_clikgen, tmp_path):
