@@ -4,6 +4,7 @@ The axes are matplotlib's; what moves in them is drawn here, as flat shapes from
 away a ball is a disc and a capsule a disc drawn out, so this is exact, and it is ten times as fast as 3-D artists.
 """
 
+import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -37,6 +38,7 @@ Colour = tuple[float, float, float, float]  # red, green, blue, opacity
 ELEVATION = 22.0  # [deg] of the camera above the horizon
 AZIMUTHS = (-150, -120, -60, -30, 30, 60, 120, 150)  # [deg] from where the camera may look: never along an axis
 USUAL_AZIMUTH = -60  # [deg] where nothing speaks for another
+SMALL = 0.01  # [m, rad] errors below this are drawn in thousandths
 LABELS = (0.65, 0.45)  # [inch] across and up, what the labels of axes in space need
 DASH, GAP, PIECE = 6.0, 4.0, 6.0  # [px] of the commanded path, and how finely the traced one is sorted by depth
 AXES = ("#C0392B", "#27803F", "#2C56B5")  # x, y, z of a frame
@@ -132,7 +134,9 @@ def _stage(scenes: Sequence[Scene]) -> tuple[Figure, list[_Panel], Text]:
     width = {1: 7.2, 2: 9.6}.get(cases, 11.8)
     across, up = np.ptp(_Camera.toward(azimuth).pixels(_corners(low, top)), axis=0) / DPI
     high = float(np.clip((0.82 * width / cases - LABELS[0]) * up / across + LABELS[1], 2.6, 5.4))
-    below, above = 0.95, 0.62  # inches for the legend, and for the titles
+    entries, columns = _entries(scenes[0]), 4 if cases > 1 else 3
+    below = 0.5 + 0.21 * math.ceil(len(entries) / columns)  # inches for the legend
+    above = 0.62  # and for the titles
     figure = Figure(figsize=(width, high + 2.1 + below + above), dpi=DPI)
     total = figure.get_figheight()
     grid = figure.add_gridspec(
@@ -162,7 +166,7 @@ def _stage(scenes: Sequence[Scene]) -> tuple[Figure, list[_Panel], Text]:
         curtains = tuple(_curtain(axes_below, each) for axes_below in (error, lam))
         panels.append(_Panel(each, axes, float(low[2]), shapes, curtains))
     clock = figure.text(1.0 - 0.12 / width, 1.0 - 0.25 / total, "", ha="right", fontsize=12)
-    figure.legend(handles=_entries(scenes[0]), loc="lower center", ncols=4 if cases > 1 else 3)
+    figure.legend(handles=entries, loc="lower center", ncols=columns)
     return figure, panels, clock
 
 
@@ -241,10 +245,11 @@ def _shown_errors(each: Scene) -> list[Any]:
 
 def _error_strip(axes: Axes, each: Scene, limits: tuple[float, float], labelled: bool) -> None:
     errors = _shown_errors(each)
+    prefix, factor = ("m", 1e3) if limits[1] < SMALL else ("", 1.0)  # in mm or mrad, for numbers that fit beside
     for i, error in enumerate(errors):
-        axes.plot(each.t, error.norm, **_error_style(i))
-    unit = errors[0].unit if errors else "m"
-    axes.set(xlim=(each.t[0], each.t[-1]), ylim=(0.0, limits[1]))
+        axes.plot(each.t, factor * error.norm, **_error_style(i))
+    unit = prefix + (errors[0].unit if errors else "m")
+    axes.set(xlim=(each.t[0], each.t[-1]), ylim=(0.0, factor * limits[1]))
     axes.tick_params(labelbottom=False, labelsize=8)
     if labelled:
         axes.set_ylabel(f"error [{unit}]")
