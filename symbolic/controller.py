@@ -11,6 +11,7 @@ from clikgen.symbolic import laws
 from clikgen.symbolic.obstacles import Loop, Obstacles, Sensing
 from clikgen.symbolic.signals import Signal, result, symbol
 from clikgen.symbolic.spec import ControllerSpec
+from clikgen.symbolic.stack import stack_notes
 from clikgen.symbolic.task import Task
 from clikgen.symbolic.tree import KinematicTree
 
@@ -34,6 +35,7 @@ class Controller:
     spec: ControllerSpec
     functions: tuple[ControllerFunction, ...]
     tasks: tuple[Task, ...]
+    notes: tuple[str, ...]  # what the spec's writer should know, a line each
 
     def function(self, name: str) -> ca.Function:
         """The CasADi function called `name`."""
@@ -70,7 +72,15 @@ def build(spec: ControllerSpec) -> Controller:
             _function(spec, "step", "one period of the loop (eqs. 4-19)", inputs, outputs, loop),
         ),
         tuple(tasks),
+        _notes(spec, tree, tasks),
     )
+
+
+def _notes(spec: ControllerSpec, tree: KinematicTree, tasks: Sequence[Task]) -> tuple[str, ...]:
+    if spec.law != "augmented":
+        return ()
+    always = [task for table, task in zip(spec.tasks, tasks, strict=True) if table.equality]
+    return stack_notes(always, tree.velocity_map()) if always else ()
 
 
 def _step(

@@ -33,7 +33,11 @@ def generate(spec: ControllerSpec) -> dict[str, str]:
     The same spec gives the same text on every machine. Raises BadInput when the spec asks for what its robot
     does not have.
     """
-    controller = build(spec)
+    return _files(build(spec))
+
+
+def _files(controller: Controller) -> dict[str, str]:
+    spec = controller.spec
     functions = [_function_info(function) for function in controller.functions]
     sources = {
         f"{spec.name}.c": c_code.source(controller, functions),
@@ -45,7 +49,7 @@ def generate(spec: ControllerSpec) -> dict[str, str]:
 
 @dataclass(frozen=True, slots=True)
 class Generated:
-    """A controller's name, its files (name -> text), and notes on its robot, a line each."""
+    """A controller's name, its files (name -> text), and notes on its robot and its tasks, a line each."""
 
     name: str
     files: dict[str, str]
@@ -56,7 +60,8 @@ def generate_file(path: Path) -> Generated:
     """The controller of the spec in `path`; raises BadInput that names the file."""
     read = read_spec_file(path)
     try:
-        return Generated(read.spec.name, generate(read.spec), read.notes)
+        controller = build(read.spec)
+        return Generated(read.spec.name, _files(controller), (*read.notes, *controller.notes))
     except BadInput as error:
         raise BadInput(f"{path}: {error}") from None
 
