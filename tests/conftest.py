@@ -11,7 +11,7 @@ from hypothesis import settings
 from numpy.typing import NDArray
 
 from clikgen.runtime.controller import CompiledController
-from clikgen.runtime.manifest import Manifest, SignalInfo, load_manifest
+from clikgen.runtime.manifest import FunctionInfo, Manifest, SignalInfo, load_manifest
 from clikgen.runtime.scenario import CASES, find_scenario, read_scenario
 from clikgen.runtime.simulation import Run, prepare
 from clikgen.symbolic.controller import Controller, build
@@ -289,6 +289,29 @@ def _within(signal: SignalInfo, n: int, rng: np.random.Generator) -> Array:
     array[kind > 0.98] = high
     array[(kind > 0.48) & (kind < 0.52)] = max(low, 0.0)
     return np.clip(array, low, high)
+
+
+@pytest.fixture(scope="session")
+def anything() -> Callable[[FunctionInfo, int, int], dict[str, Array]]:
+    """Sampler (function, n, seed) of its inputs over their whole limits, every order of magnitude alike.
+
+    Matrices are symmetric positive definite with eigenvalues from 1e-3 to 8e3.
+    """
+
+    def sample(info: FunctionInfo, n: int, seed: int) -> dict[str, Array]:
+        rng = np.random.default_rng(seed)
+        values = {}
+        for signal in info.inputs:
+            if signal.positive_definite:
+                m = signal.shape[0]
+                rotation = np.linalg.qr(rng.standard_normal((n, m, m)))[0]
+                eigenvalues = 10 ** rng.uniform(-3, 3.9, (n, m))
+                values[signal.name] = np.einsum("nij,nj,nkj->nik", rotation, eigenvalues, rotation)
+            else:
+                values[signal.name] = _within(signal, n, rng)
+        return values
+
+    return sample
 
 
 @pytest.fixture(scope="session")
