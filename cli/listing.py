@@ -7,7 +7,6 @@ import typer
 
 def command(as_json: Annotated[bool, typer.Option("--json", help="One JSON document on stdout.")] = False) -> int:
     """List controllers and scenarios."""
-    from clikgen.cli.freshness import is_stale, spec_of
     from clikgen.cli.terminal import print_json, print_table
     from clikgen.runtime.controller import controller_folders, find_controller, is_compiled
     from clikgen.runtime.manifest import load_manifest
@@ -18,13 +17,12 @@ def command(as_json: Annotated[bool, typer.Option("--json", help="One JSON docum
     for name in names:
         folder = find_controller(name)
         manifest = load_manifest(folder)
-        state = "stale" if is_stale(name) else "fresh" if spec_of(name) else "spec unknown"
         controllers.append(
             {
                 "name": name,
                 "joints": len(manifest.joints),
                 "tasks": [task.name for task in manifest.tasks],
-                "state": state,
+                "state": _state(name),
                 "compiled": is_compiled(folder),
                 "folder": str(folder),
             }
@@ -57,3 +55,14 @@ def command(as_json: Annotated[bool, typer.Option("--json", help="One JSON docum
         [[s["name"], s["controller"], s["description"]] for s in scenarios],
     )
     return 0
+
+
+def _state(controller: str) -> str:
+    """Whether the generated code still is what its spec says, as far as that is known."""
+    from clikgen.cli.freshness import is_stale, spec_of
+    from clikgen.runtime.documents import BadInput
+
+    try:
+        return "stale" if is_stale(controller) else "fresh" if spec_of(controller) else "spec unknown"
+    except BadInput:
+        return "spec in error"

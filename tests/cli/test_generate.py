@@ -58,6 +58,31 @@ def test_link_length_changes_the_code_and_check_shows_the_difference(run_clikgen
     assert {path: path.stat().st_mtime_ns for path in generated_copy.rglob("*")} == stamps  # untouched
 
 
+def test_own_controller_knows_when_its_spec_beside_it_has_changed(run_clikgen, longer_arm, tmp_path):
+    spec = longer_arm.rename(tmp_path / "mine.toml")
+    spec.write_text(spec.read_text().replace('name = "planar5"', 'name = "mine"', 1))
+    assert run_clikgen("generate", "mine.toml", cwd=tmp_path).returncode == 0
+    run = ("simulate", "paper", "--set", 'controller="mine"', "--set", "duration=0.5", "--case", "1")
+    assert run_clikgen(*run, cwd=tmp_path).returncode == 0
+
+    def state():
+        listed = json.loads(run_clikgen("list", "--json", cwd=tmp_path).stdout)
+        return next(one["state"] for one in listed["controllers"] if one["name"] == "mine")
+
+    text = spec.read_text()
+    spec.write_text(text.replace("gain = 4.0", "gain = 5.0"))
+    assert state() == "stale"
+    refused = run_clikgen(*run, cwd=tmp_path)
+    assert refused.returncode == 2
+    assert "stale" in refused.stderr
+    assert f"clikgen generate {spec}" in refused.stderr
+    spec.write_text(text.replace("gain = 4.0", "gain = wrong"))
+    assert state() == "spec in error"
+    spec.unlink()
+    assert state() == "spec unknown"
+    assert run_clikgen(*run, cwd=tmp_path).returncode == 0
+
+
 def test_own_spec_goes_to_the_working_folder_and_is_found_there(run_clikgen, longer_arm, tmp_path):
     spec = longer_arm.rename(tmp_path / "mine.toml")
     spec.write_text(spec.read_text().replace('name = "planar5"', 'name = "mine"', 1))
@@ -65,7 +90,7 @@ def test_own_spec_goes_to_the_working_folder_and_is_found_there(run_clikgen, lon
     assert (tmp_path / "generated" / "mine" / "mine.c").is_file()
     listed = json.loads(run_clikgen("list", "--json", cwd=tmp_path).stdout)
     states = {controller["name"]: controller["state"] for controller in listed["controllers"]}
-    assert states == {path.stem: "fresh" for path in shipped_specs()} | {"mine": "spec unknown"}
+    assert states == {path.stem: "fresh" for path in shipped_specs()} | {"mine": "fresh"}
     outcome = run_clikgen("simulate", "paper", "--set", 'controller="mine"', "--json", cwd=tmp_path)
     assert json.loads(outcome.stdout)["controller"] == "mine"
 
