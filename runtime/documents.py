@@ -5,7 +5,7 @@ import json
 import os
 import tempfile
 import tomllib
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Self
 
@@ -62,15 +62,27 @@ class Document(BaseModel):
 
 
 def _first_complaint(error: ValidationError) -> str:
-    """The first thing that is wrong, as `key: wanted, got`."""
-    problem = error.errors(include_url=False)[0]
-    key = ".".join(str(part) for part in problem["loc"]) or "the document"
+    """The first thing that is wrong, as `key: wanted, got`, and how many more there are."""
+    problem, *others = _own_problems(error.errors(include_url=False))
+    key = ".".join(str(part) for part in problem["loc"])
     message = " ".join(problem["msg"].removeprefix("Value error, ").split())
-    more = f" (and {error.error_count() - 1} more)" if error.error_count() > 1 else ""
+    more = f" (and {len(others)} more)" if others else ""
+    where = f"{key}: " if key else ""
     if problem["type"] in ("missing", "unknown_key") or isinstance(problem["input"], Mapping):
-        return f"{key}: {message}{more}"
+        return f"{where}{message}{more}"
     got = repr(problem["input"])
-    return f"{key}: {message}, got {got if len(got) <= 60 else got[:57] + '...'}{more}"
+    return f"{where}{message}, got {got if len(got) <= 60 else got[:57] + '...'}{more}"
+
+
+def _own_problems(problems: Sequence[Any]) -> list[Any]:
+    """Without those of pydantic's making: an array that is too short only because one of its entries is wrong."""
+    wrong = [problem["loc"] for problem in problems]
+
+    def follows(problem: Any) -> bool:
+        loc = problem["loc"]
+        return problem["type"] == "too_short" and any(other[: len(loc)] == loc and other != loc for other in wrong)
+
+    return [problem for problem in problems if not follows(problem)]
 
 
 def read_toml(path: Path) -> dict[str, Any]:

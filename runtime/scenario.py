@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
-from typing import Annotated, Any, Self
+from typing import Annotated, Any, Self, get_args
 
 from pydantic import Field, model_validator
 
@@ -20,7 +20,7 @@ from clikgen.runtime.documents import (
     parse_toml_value,
     read_toml,
 )
-from clikgen.runtime.manifest import Manifest
+from clikgen.runtime.manifest import Manifest, Space
 from clikgen.runtime.references import AnyTrajectory, Fixed, Trajectory
 
 
@@ -179,7 +179,8 @@ def _check_references(scenario: Scenario, manifest: Manifest, source: str) -> No
         wanted = references[name]
         if motion.space != wanted.space:
             raise BadInput(
-                f"{source}: references.{name}: wanted a {wanted.space}, got the {motion.space} '{motion.kind}'"
+                f"{source}: references.{name}: wanted a {wanted.space}, got the {motion.space} '{motion.kind}'; "
+                f"{choices('', _kinds_of(wanted.space))}"
             )
         if motion.dimension != wanted.dimension:
             raise BadInput(
@@ -187,7 +188,19 @@ def _check_references(scenario: Scenario, manifest: Manifest, source: str) -> No
             )
     for reference in manifest.references:
         if reference.required and reference.name not in scenario.references:
-            raise BadInput(f"{source}: references.{reference.name}: missing; task '{reference.task}' wants a reference")
+            coordinates = f" of {reference.dimension} coordinates" if reference.space == "vector" else ""
+            raise BadInput(
+                f"{source}: references.{reference.name}: missing; task '{reference.task}' wants a reference, "
+                f"a {reference.space}{coordinates}"
+            )
+
+
+def _kinds_of(space: Space) -> list[str]:
+    """The kinds of trajectory whose values are vectors, or rotations."""
+    trajectories = get_args(get_args(AnyTrajectory)[0])
+    return [
+        get_args(one.model_fields["kind"].annotation)[0] for one in trajectories if one.model_construct().space == space
+    ]
 
 
 def _check_obstacles(scenario: Scenario, manifest: Manifest, source: str) -> None:

@@ -43,6 +43,10 @@ class Damping(ABC):
     def squared(self, gram: ca.SX) -> ca.SX:
         """λ² of the inverse, a scalar in the unit of `gram` = J Jᵀ (m, m)."""
 
+    def projector_squared(self) -> ca.SX:
+        """μ² of the projector I − f fᵀ/(|f|² + μ²) that keeps lower tasks off a row f of the task: 0, a strict one."""
+        return ca.SX(0)
+
     @abstractmethod
     def regularity(self, gram: ca.SX) -> ca.SX:
         """From 0 at a singularity to 1 where the damping does not act: the share that lower tasks get to move."""
@@ -61,6 +65,19 @@ class ConstantDamping(Damping):
     def regularity(self, gram: ca.SX) -> ca.SX:
         """One: nothing is known of singularities."""
         return ca.SX(1)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FadingDamping(ConstantDamping):
+    """The same λ everywhere, of a task whose rows grow from zero as it begins to act.
+
+    Below |f| = λ such a row lets go of the tasks below as it lets go of its own velocity: the task fades in, and one
+    that nothing presses any more is left again.
+    """
+
+    def projector_squared(self) -> ca.SX:
+        """λ²."""
+        return self.value**2
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -6,7 +6,7 @@ from typing import Literal
 import casadi as ca
 
 from clikgen.symbolic.contact import Contact
-from clikgen.symbolic.damping import LIMITS, ConstantDamping
+from clikgen.symbolic.damping import LIMITS, FadingDamping
 from clikgen.symbolic.signals import Signal, result, symbol
 from clikgen.symbolic.task import Task, jacobian_result
 
@@ -49,7 +49,7 @@ def potential_task(
         error=-potential,
         feedforward=ca.SX.zeros(J.shape[0]),
         gain=K.expression,
-        damping=ConstantDamping(constant.expression),
+        damping=FadingDamping(constant.expression),
         parameters=(K, constant, *inputs),
         diagnostics=(result(f"{name}_potential", potential, shape, "m^2", texts[0]), *diagnostics),
         values=(),

@@ -1,14 +1,15 @@
 """The controller spec: one TOML file that says what robot, which tasks in which order, which law."""
 
 import pkgutil
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import reduce
 from importlib import import_module, resources
 from operator import or_
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Self
+from typing import TYPE_CHECKING, Annotated, Any, Self, get_args
 
-from pydantic import Field, create_model, model_validator
+from pydantic import BeforeValidator, Field, create_model, model_validator
 
 from clikgen.runtime.documents import BadInput, Document, Identifier, choices, read_toml
 from clikgen.runtime.manifest import sha256
@@ -17,7 +18,7 @@ from clikgen.symbolic.models.table import RobotModel, RobotTable
 from clikgen.symbolic.obstacles import ObstacleCapacity
 from clikgen.symbolic.planner import Planner
 from clikgen.symbolic.robot import Robot
-from clikgen.symbolic.task import TaskSpec, task_kinds
+from clikgen.symbolic.task import TaskSpec, selected_joints, task_kinds
 
 if TYPE_CHECKING:
     from clikgen.symbolic.filters.first_order import Spec as AnyFilter
@@ -28,7 +29,16 @@ else:  # the kinds are the files of a folder, so pydantic learns them when it st
 
     def _one_of(kinds):
         kinds = tuple(kinds)
-        return kinds[0] if len(kinds) == 1 else Annotated[reduce(or_, kinds), Field(discriminator="kind")]
+        names = [get_args(kind.model_fields["kind"].annotation)[0] for kind in kinds]
+
+        def known(table):
+            if isinstance(table, Mapping) and table.get("kind") not in names:
+                got = f"no kind '{table['kind']}'" if "kind" in table else "no key 'kind'"
+                raise ValueError(f"{got}; {choices(str(table.get('kind', '')), names)}")
+            return table
+
+        union = kinds[0] if len(kinds) == 1 else Annotated[reduce(or_, kinds), Field(discriminator="kind")]
+        return Annotated[union, BeforeValidator(known)]
 
     def _specs_in(package):
         names = (module.name for module in pkgutil.iter_modules(package.__path__))
@@ -67,9 +77,10 @@ class ControllerSpec(Document):
     @model_validator(mode="after")
     def _task_names_are_unique(self) -> Self:
         names = [task.name for task in self.tasks]
-        for name in names:
-            if names.count(name) > 1:
-                raise ValueError(f"task '{name}' is there twice")
+        for i, name in enumerate(names):
+            if name in names[:i]:
+                first = names.index(name)
+                raise ValueError(f"tasks.{first} and tasks.{i} are both called '{name}', wanted every name once")
         return self
 
     def sha256(self) -> str:
@@ -95,7 +106,23 @@ def read_spec_file(path: Path) -> SpecFile:
     if "robot" not in data:  # let the spec say so
         return SpecFile(ControllerSpec.parse(data, source), ())
     model = _built_robot(data["robot"], path)
-    return SpecFile(ControllerSpec.parse(data | {"robot": model.robot}, source), model.notes)
+    spec = ControllerSpec.parse(data | {"robot": model.robot}, source)
+    _check_names_in_tasks(spec, source)
+    return SpecFile(spec, model.notes)
+
+
+def _check_names_in_tasks(spec: ControllerSpec, source: str) -> None:
+    """Raises BadInput that says which task names a frame or a joint that the robot lacks."""
+    for task in spec.tasks:
+        table = dict(task)
+        frames = (table.get("frame"), table.get("relative_to"), *(table.get("frames") or ()))
+        try:
+            for frame in frames:
+                if frame is not None:
+                    spec.robot.frame(frame)
+            selected_joints(spec.robot, table.get("joints"))
+        except BadInput as error:
+            raise BadInput(f"{source}: task '{task.name}': {error}") from None
 
 
 def read_robot(path: Path) -> RobotModel:

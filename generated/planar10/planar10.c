@@ -3813,7 +3813,7 @@ void planar10_step_defaults(planar10_step_input *input) {
   static const planar10_step_input zero;
   *input = zero;
   input->obstacles_gain = 100.0;
-  input->obstacles_damping = 0.0001;
+  input->obstacles_damping = 0.001;
   input->tool_gain[0][0] = 10.0;
   input->tool_gain[1][1] = 10.0;
   input->tool_damping = 0.05;

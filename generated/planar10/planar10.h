@@ -92,7 +92,7 @@ typedef struct planar10_step_input {
   double q[10];
   /* K_o (eq. 10) [1/s]; default 100; 0 to 1e+06 */
   double obstacles_gain;
-  /* damping of J⁺ [m^2]; default 0.0001; 1e-09 to 1000 */
+  /* damping of J⁺ [m^2]; default 0.001; 1e-09 to 1000 */
   double obstacles_damping;
   /* r_g, where frame tool should be [m]; -1e+06 to 1e+06 */
   double tool_reference[2];

@@ -94,7 +94,7 @@ typedef struct ur6_step_input {
   double q[6];
   /* K_o (eq. 10) [1/s]; default 50; 0 to 1e+06 */
   double walls_gain;
-  /* damping of J⁺ [m^2]; default 0.001; 1e-09 to 1000 */
+  /* damping of J⁺ [m^2]; default 0.0001; 1e-09 to 1000 */
   double walls_damping;
   /* n of each wall, a unit vector inwards [1]; default {0, 0, 1, 0, -1, 0}; -1 to 1 */
   double walls_normal[2][3];
@@ -109,11 +109,8 @@ typedef struct ur6_step_input {
   /* K_g (eq. 4), symmetric positive definite [1/s]; default {10, 0, 0, 0, 10, 0, 0, 0, 10}; -10000
    * to 10000 */
   double tool_gain[3][3];
-  /* greatest damping of J⁺, at a singularity [m]; default 0.05; 1e-09 to 1000 */
+  /* damping of J⁺ [m]; default 0.01; 1e-09 to 1000 */
   double tool_damping;
-  /* damping of J⁺ sets in where its least singular value falls below this [m]; default 0.05; 1e-09
-   * to 1000 */
-  double tool_near_singularity;
   /* target that frame tool0 looks at [m]; -1e+06 to 1e+06 */
   double camera_reference[3];
   /* its time derivative [m/s]; -1e+06 to 1e+06 */

@@ -52,7 +52,7 @@ def combine(tasks: Sequence[Task]) -> ca.SX:
         squared = _guarded(task.damping.squared(gram), gram, ca.sum1(row_squares))
         factor = LdlFactor.of(gram + squared * ca.SX.eye(J.shape[0]), squared + ROUNDING * row_squares)
         dq += reduce(_deflated, reversed(root), F @ factor.solve(residual))
-        root += _deflations(F, row_squares)  # the last ones remain unused
+        root += _deflations(F, row_squares, task.damping.projector_squared())  # the last ones remain unused
         share *= task.damping.regularity(gram)
     return dq
 
@@ -75,15 +75,16 @@ def _guarded(squared: ca.SX, gram: ca.SX, jacobian_squared: ca.SX) -> ca.SX:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Deflation:
-    """E = I − γ f fᵀ, (n, n): the projector that takes f out, γ = 1/|f|²."""
+    """E = I − γ f fᵀ, (n, n): the square root of the projector I − f fᵀ/(|f|² + μ²) that takes f out."""
 
     f: ca.SX  # (n, 1)
     gamma: ca.SX  # scalar
 
     @classmethod
-    def of(cls, f: ca.SX, row_square: ca.SX) -> Self:
-        """The projector of what is left, f, of a row whose square was `row_square`."""
-        return cls(f, 1 / ca.fmax(ca.sumsqr(f), SPENT * row_square + TINY))
+    def of(cls, f: ca.SX, row_square: ca.SX, squared: ca.SX) -> Self:
+        """E² = I − f fᵀ/g for g = |f|² + μ² wants γ = 1/(g + μ√g); `squared` is μ², `row_square` what |f|² was."""
+        g = ca.fmax(ca.sumsqr(f), SPENT * row_square + TINY) + squared
+        return cls(f, 1 / (g + ca.sqrt(squared * g)))
 
 
 def _deflated(X: ca.SX, by: _Deflation) -> ca.SX:
@@ -91,10 +92,10 @@ def _deflated(X: ca.SX, by: _Deflation) -> ca.SX:
     return X - by.f @ (by.gamma * (by.f.T @ X))
 
 
-def _deflations(F: ca.SX, row_squares: ca.SX) -> list[_Deflation]:
+def _deflations(F: ca.SX, row_squares: ca.SX, squared: ca.SX) -> list[_Deflation]:
     """The factors that take one column of F (n, m) after the other out, each by what those before left of it."""
     factors: list[_Deflation] = []
     for i in range(F.shape[1]):
         f = reduce(_deflated, factors, F[:, i])
-        factors.append(_Deflation.of(f, row_squares[i]))
+        factors.append(_Deflation.of(f, row_squares[i], squared))
     return factors

@@ -5,7 +5,7 @@ from typing import Literal
 import casadi as ca
 
 from clikgen.runtime.documents import BadInput, NonNegative, Positive
-from clikgen.symbolic.damping import damping_signals
+from clikgen.symbolic.damping import LIMITS, FadingDamping
 from clikgen.symbolic.obstacles import Sensing
 from clikgen.symbolic.robot import Robot
 from clikgen.symbolic.signals import Signal, result, symbol
@@ -54,7 +54,7 @@ class Spec(TaskSpec):
         potential, slope = (below**2 + above**2) / 2, above - below
         jacobian = ca.diag(slope) @ ca.SX.eye(tree.q.numel())[joints, :]
         gain = symbol(f"{name}_gain", (), "1/s", "K (eq. 10)", "parameter", (0.0, 1e6), self.gain)
-        damping, damping_parameters = damping_signals(name, unit, self.damping)
+        constant = symbol(f"{name}_damping", (), unit, "damping of J⁺", "parameter", LIMITS, self.damping)
         squared = ", ".join(f"{one}^2" for one in unit.split(", "))
         return Task(
             name=name,
@@ -62,8 +62,8 @@ class Spec(TaskSpec):
             error=-potential,
             feedforward=ca.SX.zeros(len(joints)),
             gain=gain.expression,
-            damping=damping,
-            parameters=(gain, *damping_parameters, *inputs),
+            damping=FadingDamping(constant.expression),
+            parameters=(gain, constant, *inputs),
             diagnostics=(
                 result(f"{name}_depth", below + above, shape, unit, "x, depth into the margin, of each limited joint"),
                 result(f"{name}_potential", potential, shape, squared, "V, eq. 8 of each limited joint"),

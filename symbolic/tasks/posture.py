@@ -5,7 +5,7 @@ from typing import Annotated, Literal
 import casadi as ca
 from pydantic import Field
 
-from clikgen.runtime.documents import Number
+from clikgen.runtime.documents import BadInput, Number
 from clikgen.symbolic.damping import DampingSpec, damping_signals
 from clikgen.symbolic.obstacles import Sensing
 from clikgen.symbolic.robot import Robot
@@ -49,10 +49,15 @@ class Spec(TaskSpec):
         return len(selected_joints(robot, self.joints))
 
     def build(self, tree: KinematicTree, sensing: Sensing | None) -> Task:
-        """The error r − q_s [m, rad], J = S and ṙ as feedforward; raises BadInput for an unknown joint."""
+        """The error r − q_s [m, rad], J = S and ṙ as feedforward; raises BadInput for joints that do not fit."""
         name, joints = self.name, selected_joints(tree.robot, self.joints)
         k, unit = len(joints), joint_units(tree.robot, joints)
         names = ", ".join(tree.robot.coordinates[i].name for i in joints)
+        if len(self.posture) != k:
+            raise BadInput(
+                f"task '{name}': posture, the default of {name}_reference: wanted shape ({k},), "
+                f"got ({len(self.posture)},); the joints are {names}"
+            )
         value, jacobian = tree.q[joints], ca.SX.eye(tree.q.numel())[joints, :]
         reference = vector_reference(name, k, unit, f"r, where these joints should be: {names}", self.posture)
         gain, gain_matrix = self._gain(k)

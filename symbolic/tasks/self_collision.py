@@ -71,7 +71,10 @@ class Spec(TaskSpec):
         pairs = [(bodies[a], bodies[b]) for a, b in self.pairs]
         for a, b in pairs:
             if _joints_between(tree, (a, b)) == 0:
-                raise BadInput(f"task '{self.name}': the bodies '{a.name}' and '{b.name}' are fixed to each other")
+                raise BadInput(
+                    f"task '{self.name}': the bodies '{a.name}' and '{b.name}' are fixed to each other, "
+                    "wanted a joint at least between them"
+                )
         return pairs
 
 

@@ -7,7 +7,7 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from clikgen.symbolic.damping import ConstantDamping, Damping, NearSingularDamping
+from clikgen.symbolic.damping import ConstantDamping, Damping, FadingDamping, NearSingularDamping
 from clikgen.symbolic.laws import augmented, nsb
 
 UNDAMPED = 1e-9  # changes a velocity by its square over σ², and σ >= 0.01 here: 1e-14
@@ -391,6 +391,30 @@ def _through_nothing(rng):
 
 
 PATHS = [_through_singularity, _through_conflict, _through_nothing]
+
+
+class _FadingAbove:
+    """Augmented projection in which the first task fades in, and the others are damped near a singularity."""
+
+    @staticmethod
+    def combine(tasks):
+        first = _Task(tasks[0].jacobian, tasks[0].velocity, FadingDamping(tasks[0].damping.maximum))
+        return augmented.combine([first, *tasks[1:]])
+
+
+def test_augmented_a_task_that_fades_in_is_continuous_where_it_begins_and_strict_where_it_is_there():
+    """J = h j of a task that has just begun, h from −0.1 to 0.1: without fading the tasks below jump at h = 0."""
+    rng = np.random.default_rng(0)
+    j, lower = rng.normal(size=(1, 6)), [(rng.normal(size=(2, 6)), rng.normal(size=2))]
+
+    def stack_at(t):
+        return [((t - 0.5) / 5 * j, np.zeros(1)), *lower]
+
+    coarse, fine = (_greatest_jump(_FadingAbove, stack_at, count, [1e-2, 0.3], 0.5) for count in (2000, 4000))
+    assert fine <= 0.6 * coarse
+    assert _greatest_jump(augmented, stack_at, 4000, [1e-2, 0.3], None) > 10 * fine  # of constant damping
+    there = _velocity(_FadingAbove, [(100 * j, np.zeros(1)), *lower], [1e-2, 0.3], 0.5)
+    assert np.abs(j @ there)[0] < 1e-6  # (λ/|f|)² of a velocity of about 1
 
 
 @pytest.mark.parametrize("law", [nsb, augmented], ids=["nsb", "augmented"])

@@ -86,3 +86,22 @@ def test_an_unknown_way_to_combine_names_the_choices(evaluated, arm):
     with pytest.raises(BadInput, match="'sum' or 'rows'") as error:
         build(evaluated, arm, "workspace_walls", "product")
     assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize("law", ["nsb", "augmented"])
+def test_a_tool_that_was_pressed_against_a_wall_leaves_it_when_it_is_called_back(evaluated, arm, law):
+    """The projector holds both ways of a direction; that it fades with the depth is what lets go."""
+    wall = {"normal": [0.0, 1.0], "offset": -0.15}
+    room = {"name": "room", "kind": "workspace_walls", "walls": [wall], "margin": 0.1, "gain": 50.0, "damping": 1e-4}
+    goal = {"name": "tool", "kind": "frame_position", "frame": "tool", "gain": 4.0, "speed": 1.0}
+    controller = evaluated(arm, room, goal, law=law, period=0.002)
+
+    def reference(t):
+        return np.array([1.0, -0.3 if t < 2.0 else 0.3])
+
+    _, outputs = controller.run(3000, [0.2, -0.3, 0.3, -0.2], tool_reference=reference)
+    pressed, distance = slice(800, 1000), outputs["room_distance"][:, 0, 3]
+    assert np.all(distance[pressed] < 0.1)
+    # it gives way by some times the depth where the task fades, 1e-4 m² / 1 m
+    assert np.min(distance) > 0.1 - 0.01
+    assert np.linalg.norm(outputs["tool_error"][-1]) < 1e-3
