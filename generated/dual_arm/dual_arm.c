@@ -21279,7 +21279,7 @@ void dual_arm_step_defaults(dual_arm_step_input *input) {
   static const dual_arm_step_input zero;
   *input = zero;
   input->apart_gain = 50.0;
-  input->apart_damping = 0.001;
+  input->apart_damping = 0.0002;
   input->apart_margin[0] = 0.04;
   input->apart_margin[1] = 0.04;
   input->apart_margin[2] = 0.04;

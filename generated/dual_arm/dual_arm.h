@@ -106,7 +106,7 @@ typedef struct dual_arm_step_input {
   double q[16];
   /* K_o (eq. 10) [1/s]; default 50; 0 to 1e+06 */
   double apart_gain;
-  /* damping of J⁺ [m^2]; default 0.001; 1e-09 to 1000 */
+  /* damping of J⁺ [m^2]; default 0.0002; 1e-09 to 1000 */
   double apart_damping;
   /* s of each pair: torso-left_forearm, torso-left_palm, torso-right_forearm, torso-right_palm,
    * left_forearm-right_forearm, left_palm-right_palm, left_forearm-right_palm, left_palm-

@@ -97,8 +97,8 @@ typedef struct panda7_jacobians_input {
 typedef struct panda7_jacobians_output {
   /* J_l = ∂V/∂q, eq. 9 of each limited joint [rad, rad, rad, rad, rad, rad, rad per joint unit] */
   double limits_jacobian[7][7];
-  /* J_o = ∂V/∂q, sum of eq. 9 [m^2 per joint unit] */
-  double obstacles_jacobian[7];
+  /* J_o = ∂V/∂q, eq. 9 of each contact [m^2 per joint unit] */
+  double obstacles_jacobian[4][7];
   /* J = [J_p; J_ω] of frame hand_tcp [m, rad per joint unit] */
   double hand_jacobian[6][7];
   /* S = ∂q_s/∂q [1 per joint unit] */
@@ -139,7 +139,7 @@ typedef struct panda7_step_input {
   double limits_margin[7];
   /* K_o (eq. 10) [1/s]; default 50; 0 to 1e+06 */
   double obstacles_gain;
-  /* damping of J⁺ [m^2]; default 0.001; 1e-09 to 1000 */
+  /* damping of J⁺ [m^2]; default 0.0002; 1e-09 to 1000 */
   double obstacles_damping;
   /* r_d, where frame hand_tcp should be [m]; -1e+06 to 1e+06 */
   double hand_reference[3];
@@ -214,8 +214,8 @@ typedef struct panda7_step_output {
   double limits_depth[7];
   /* V, eq. 8 of each limited joint [rad^2, rad^2, rad^2, rad^2, rad^2, rad^2, rad^2] */
   double limits_potential[7];
-  /* V, sum of eq. 8 [m^2] */
-  double obstacles_potential;
+  /* V, eq. 8 of each contact [m^2] */
+  double obstacles_potential[4];
   /* f(q), where frame hand_tcp is [m] */
   double hand_position[3];
   /* R, quaternion (w, x, y, z), w >= 0 [1] */
