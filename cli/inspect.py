@@ -1,12 +1,14 @@
-"""`clikgen inspect`: what a robot is made of, as a table and as a picture."""
+"""`clikgen inspect`: what a robot is made of, as tables and as a picture."""
 
 import math
+import sys
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
-WIDTH = 200  # characters: numbers that are cut off say nothing
+WIDTH = 120  # characters, where there is no terminal to say
 
 
 def command(
@@ -17,28 +19,30 @@ def command(
     out: Annotated[Path | None, typer.Option(help="Where to draw the robot: a .png, .svg or .pdf file.")] = None,
     as_json: Annotated[bool, typer.Option("--json", help="One JSON document on stdout.")] = False,
 ) -> int:
-    """Show a robot's joints, links and limits as a table, and draw it."""
+    """Show a robot's joints, links and limits as tables, and draw it."""
+    from rich.markup import escape  # "[m]" is a unit, not markup
+
     from clikgen.cli.terminal import messages, print_json, print_table
     from clikgen.symbolic.spec import read_robot
 
     path = _file(robot)
     model = read_robot(path)
-    rows = [_row(model.robot, joint) for joint in model.robot.joints]
+    q = _configuration(model.robot, at)
+    document = _document(path, model)
+    if out:
+        _draw(model.robot, path, q, out)  # first: nothing is said of a robot when this fails
     if as_json:
-        print_json({"robot": str(path), "root": model.robot.root, "joints": rows, "notes": list(model.notes)})
+        print_json(document)
     else:
-        n = len(model.robot.coordinates)
-        moved = "" if len(model.robot.inputs) == n else f", {len(model.robot.inputs)} inputs"
-        print_table(
-            f"{path}: {len(model.robot.links)} links from '{model.robot.root}', {n} degrees of freedom{moved}",
-            ["joint", "q", "type", "link", "on", "xyz [m]", "rpy [rad]", "axis", "from", "to", "at most"],
-            [[_text(value) for value in row.values()] for row in rows],
-            width=WIDTH,
-        )
+        typer.echo(_summary(document))
+        for title, columns, rows in _tables(document):
+            if _width(columns, rows) > WIDTH:
+                rows = [[cell.replace(" -> ", " ->\n") for cell in row] for row in rows]
+            width = None if sys.stdout.isatty() else max(WIDTH, _width(columns, rows))
+            print_table(escape(title), [escape(column) for column in columns], rows, width=width)
     for note in model.notes:
         messages.print(f"note: {note}")
     if out:
-        _draw(model.robot, at, out)
         messages.print(f"wrote {out}")
     return 0
 
@@ -56,20 +60,28 @@ def _file(robot: str) -> Path:
     return Path(robot)
 
 
-def _draw(robot: Any, at: str | None, out: Path) -> None:
-    """Write a picture of the robot at given joint positions, or at the ones nearest to zero."""
+def _draw(robot: Any, path: Path, q: Sequence[float], out: Path) -> None:
+    """Write a picture of the robot at given joint positions."""
     from clikgen.analysis.figures import save
     from clikgen.analysis.robot_figure import DrawnJoint, robot_figure
     from clikgen.symbolic.tree import numeric_poses
 
-    q = _configuration(robot, at)
     poses = numeric_poses(robot, q)
+    numbers = {joint.name: i for i, joint in enumerate(robot.coordinates)}
     joints = [
-        DrawnJoint(joint.name, joint.type, poses[joint.link], poses[robot.parent(joint)], joint.axis)
+        DrawnJoint(
+            joint.name,
+            joint.type,
+            numbers.get(joint.name),
+            poses[joint.link],
+            poses[robot.parent(joint)],
+            joint.axis,
+            joint.outline,
+        )
         for joint in robot.joints
     ]
-    places = ", ".join(f"{value:.3g}" for value in q)
-    figure = robot_figure(f"{out.stem}: {len(q)} degrees of freedom, at q = [{places}]", joints, robot.dimension)
+    where = "q = 0" if not any(q) else f"q = [{', '.join(f'{value:.3g}' for value in q)}]"
+    figure = robot_figure(f"{path.stem}: {_freedom(robot)}, drawn at {where}", joints, robot.dimension)
     save({out.stem: figure}, out.parent, [out.suffix.removeprefix(".")])
 
 
@@ -90,29 +102,157 @@ def _configuration(robot: Any, at: str | None) -> list[float]:
     return q
 
 
-def _row(robot: Any, joint: Any) -> dict[str, Any]:
+def _freedom(robot: Any) -> str:
+    n, inputs = len(robot.coordinates), len(robot.inputs)
+    text = f"{n} degree{'s' if n > 1 else ''} of freedom"
+    return text if inputs == n else f"{text}, {inputs} inputs"
+
+
+def _document(path: Path, model: Any) -> dict[str, Any]:
+    """All that is known of the robot; what a part does not have is None."""
+    robot = model.robot
+    return {
+        "robot": str(path),
+        "space": robot.space,
+        "root": robot.root,
+        "links": list(robot.links),
+        "degrees_of_freedom": len(robot.coordinates),
+        "inputs": [{"name": one.name, "unit": f"{one.unit}/s", "velocity": one.velocity} for one in robot.inputs],
+        "drive": robot.drive.model_dump() if robot.drive else None,
+        "joints": [_joint(robot, joint) for joint in robot.joints],
+        "frames": [frame.model_dump(mode="json") for frame in robot.frames],
+        "points_of_interest": [point.model_dump(mode="json") for point in robot.points_of_interest],
+        "bodies": [body.model_dump(mode="json") for body in robot.bodies],
+        "notes": list(model.notes),
+    }
+
+
+def _joint(robot: Any, joint: Any) -> dict[str, Any]:
     """One joint, key by key; what it does not have is None."""
     moves = joint.type != "fixed"
     names = [one.name for one in robot.coordinates]
-    kind = joint.type if joint.mimic is None else f"mimics {joint.mimic.joint}"
     return {
         "joint": joint.name,
         "q": names.index(joint.name) if joint.independent else None,
-        "type": kind,
-        "link": joint.link,
+        "type": joint.type,
+        "unit": joint.unit if moves else None,
         "parent": robot.parent(joint),
+        "link": joint.link,
         "xyz": list(joint.xyz),
         "rpy": list(joint.rpy),
         "axis": list(joint.axis) if moves else None,
         "lower": joint.lower,
         "upper": joint.upper,
         "velocity": joint.velocity,
+        "mimic": joint.mimic.model_dump() if joint.mimic else None,
     }
+
+
+Table = tuple[str, list[str], list[list[str]]]
+
+
+def _tables(document: Mapping[str, Any]) -> Iterable[Table]:
+    """Title, columns and rows: the moving joints, where every joint sits, and what is fixed to the links."""
+    joints = document["joints"]
+    moving = [joint for joint in joints if joint["type"] != "fixed"]
+    columns = ["joint", "q", "type", "axis", "limits", "velocity", "unit"]
+    rows = [
+        [
+            joint["joint"],
+            _text(joint["q"]),
+            _type(joint),
+            _vector(joint["axis"]),
+            _limits(joint),
+            _text(joint["velocity"]),
+            f"{joint['unit']}, {joint['unit']}/s",
+        ]
+        for joint in moving
+    ]
+    yield "joints that move", columns, rows
+    yield (
+        "where the joints sit: xyz [m] and rpy [rad] in the parent link",
+        ["joint", "parent -> link", "xyz", "rpy"],
+        [
+            [
+                joint["joint"] + (" (fixed)" if joint["type"] == "fixed" else ""),
+                f"{joint['parent']} -> {joint['link']}",
+                _vector(joint["xyz"]),
+                _vector(joint["rpy"]),
+            ]
+            for joint in joints
+        ],
+    )
+    if document["frames"]:
+        rows = [[one["name"], one["link"], _vector(one["xyz"]), _vector(one["rpy"])] for one in document["frames"]]
+        yield "frames", ["frame", "on link", "xyz [m]", "rpy [rad]"], rows
+    if document["points_of_interest"]:
+        points = document["points_of_interest"]
+        rows = [[one["name"], one["link"], _vector(one["offset"]), _text(one["influence_radius"])] for one in points]
+        yield "points of interest", ["point", "on link", "offset [m]", "influence radius [m]"], rows
+    if document["bodies"]:
+        rows = [
+            [
+                one["name"],
+                one["link"],
+                "capsule" if one["end"] else "ball",
+                _vector(one["start"]),
+                _vector(one["end"]),
+                _text(one["radius"]),
+            ]
+            for one in document["bodies"]
+        ]
+        yield "collision bodies", ["body", "on link", "shape", "from [m]", "to [m]", "radius [m]"], rows
+
+
+def _width(columns: Sequence[str], rows: Sequence[Sequence[str]]) -> int:
+    """How wide a table is in which no word is cut and no line is wrapped."""
+    longest = [
+        max(len(line) for cell in column for line in cell.split("\n")) for column in zip(columns, *rows, strict=True)
+    ]
+    return sum(longest) + 3 * len(columns) + 1
+
+
+def _summary(document: Mapping[str, Any]) -> str:
+    """What the robot is, in a line or two."""
+    fixed = sum(joint["type"] == "fixed" for joint in document["joints"])
+    n, inputs = document["degrees_of_freedom"], document["inputs"]
+    text = f"{document['robot']}: {len(document['links'])} links from '{document['root']}'"
+    text += f", {n} degree{'s' if n > 1 else ''} of freedom"
+    if fixed:
+        text += f", {fixed} fixed joint{'s' if fixed > 1 else ''}"
+    if document["space"] == "planar":
+        text += ", planar"
+    drive = document["drive"]
+    if drive:
+        text += (
+            f"\n{len(inputs)} inputs: a differential drive has v (at most {drive['velocity']:g} m/s) in place of the "
+            f"rates of {drive['x']} and {drive['y']}"
+        )
+    return text
+
+
+def _type(joint: Mapping[str, Any]) -> str:
+    """The type, and what a mimic follows."""
+    mimic = joint["mimic"]
+    if mimic is None:
+        return str(joint["type"])
+    times = "" if mimic["multiplier"] == 1 else "-" if mimic["multiplier"] == -1 else f"{mimic['multiplier']:.4g} "
+    offset = f" {mimic['offset']:+.4g}" if mimic["offset"] else ""
+    return f"= {times}{mimic['joint']}{offset}"
+
+
+def _limits(joint: Mapping[str, Any]) -> str:
+    if joint["lower"] is None:
+        return "-"
+    return f"{joint['lower']:.4g} .. {joint['upper']:.4g}"
+
+
+def _vector(values: Sequence[float] | None) -> str:
+    """Numbers beside one another; what is rounding of a right angle's sine, below a nanometre, is 0."""
+    return "-" if values is None else "  ".join(f"{0.0 if abs(v) < 1e-9 else v:.4g}" for v in values)
 
 
 def _text(value: Any) -> str:
     if value is None:
         return "-"
-    if isinstance(value, list):
-        return "  ".join(f"{entry:.4g}" for entry in value)
     return f"{value:.4g}" if isinstance(value, float) else str(value)
