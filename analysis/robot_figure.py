@@ -26,6 +26,8 @@ LINES = 32  # of the list, in a column
 ARROW = 0.16  # how long a joint's axis is drawn, as a share of half the box
 SLIMMEST = 0.5  # the box's shortest side, as a share of its longest
 LONGEST_NAME = 38  # characters; in two columns half of that
+TRIAD = ("#D55E00", "#009E73", "#0072B2")  # x, y, z
+TRIAD_LENGTH = 0.11  # as a share of half the box
 LABEL = 11.0  # [points] how high a label is, and how much of it a character takes
 CHARACTER = 5.5
 NEAR = 4.0  # [points] joints that are seen nearer share a label
@@ -48,12 +50,20 @@ class DrawnJoint:
     outline: tuple[tuple[float, float, float], ...] = ()
 
 
-def robot_figure(title: str, joints: Sequence[DrawnJoint], dimension: int) -> Figure:
-    """The robot seen from the side, or from above where it is planar (dimension 2)."""
+@dataclass(frozen=True, slots=True, eq=False)
+class DrawnFrame:
+    """A named frame, drawn by its axes, and where it is, [R | p] (3, 4)."""
+
+    name: str
+    pose: Array
+
+
+def robot_figure(title: str, joints: Sequence[DrawnJoint], dimension: int, frames: Sequence[DrawnFrame] = ()) -> Figure:
+    """The robot seen from the side, or from above where it is planar (dimension 2), and the axes of `frames`."""
     with mpl.rc_context(STYLE):
         figure = Figure(figsize=SIZE)
-        axes = _in_space(figure, joints) if dimension == 3 else _in_the_plane(figure, joints)
-        _label(figure, axes, joints, dimension)
+        axes = (_in_space if dimension == 3 else _in_the_plane)(figure, joints, frames)
+        _label(figure, axes, joints, frames, dimension)
         _list(figure, [joint for joint in joints if joint.number is not None])
         figure.suptitle(_broken(title), fontsize=10, x=0.02, y=0.975, ha="left", va="top")
         present = [kind for kind in COLOURS if kind in {joint.type for joint in joints}]
@@ -61,10 +71,17 @@ def robot_figure(title: str, joints: Sequence[DrawnJoint], dimension: int) -> Fi
             handles=[
                 Line2D([], [], color=COLOURS[kind], marker=MARKERS[kind], linestyle="", label=f"{kind} joint")
                 for kind in present
+            ]
+            + [
+                Line2D([], [], color=colour, label=f"{name} axis")
+                for name, colour in zip("xyz"[:dimension], TRIAD, strict=False)
+                if frames
             ],
             loc="lower left",
             bbox_to_anchor=(LIST[0] - 0.03, 0.0),
-            ncols=2,
+            ncols=3,
+            columnspacing=1.2,
+            handlelength=1.2,
         )
     return figure
 
@@ -79,19 +96,20 @@ def _broken(title: str) -> str:
     return "\n".join(line.rstrip() for line in lines[:3])
 
 
-def _box(joints: Sequence[DrawnJoint]) -> tuple[Array, Array]:
+def _box(joints: Sequence[DrawnJoint], frames: Sequence[DrawnFrame]) -> tuple[Array, Array]:
     """The middle (3,) and half the sides (3,) of a box about the robot, none much shorter than the longest [m]."""
     corners = [joint.pose[:, :3] @ corner + joint.pose[:, 3] for joint in joints for corner in joint.outline]
+    corners += [frame.pose[:, 3] for frame in frames]
     places = np.array([*corners, *(one[:, 3] for joint in joints for one in (joint.parent, joint.pose))])
     low, high = places.min(axis=0), places.max(axis=0)
     longest = max(float(np.max(high - low)), 1e-3)
-    return (low + high) / 2, 0.5 * np.maximum(high - low, SLIMMEST * longest) + 0.05 * longest
+    return (low + high) / 2, 0.5 * np.maximum(high - low, SLIMMEST * longest) + 0.08 * longest
 
 
-def _in_space(figure: Figure, joints: Sequence[DrawnJoint]) -> Any:
+def _in_space(figure: Figure, joints: Sequence[DrawnJoint], frames: Sequence[DrawnFrame]) -> Any:
     """Axes with the robot from the side, a metre as long along x as along y and z."""
     axes: Any = figure.add_axes(DRAWING, projection="3d")
-    middle, half = _box(joints)
+    middle, half = _box(joints, frames)
     for joint in joints:
         start, end = joint.parent[:, 3], joint.pose[:, 3]
         axes.plot(*np.array([start, end]).T, color=ROBOT_EDGE, linewidth=4.0, solid_capstyle="round", zorder=1)
@@ -99,6 +117,10 @@ def _in_space(figure: Figure, joints: Sequence[DrawnJoint]) -> Any:
             arrow = ARROW * half.max() * joint.pose[:, :3] @ joint.axis
             axes.quiver(*end, *arrow, color=COLOURS[joint.type], linewidth=1.4, arrow_length_ratio=0.25)
         axes.plot(*end, marker=MARKERS[joint.type], color=COLOURS[joint.type], markersize=5)
+    for frame in frames:
+        for direction, colour in zip(frame.pose[:, :3].T, TRIAD, strict=True):
+            ends = frame.pose[:, 3] + np.outer([0.0, TRIAD_LENGTH * half.max()], direction)
+            axes.plot(*ends.T, color=colour, linewidth=3.0, zorder=1.5)
     axes.set(**{f"{name}lim": (m - h, m + h) for name, m, h in zip("xyz", middle, half, strict=True)})
     axes.set(xlabel="x [m]", ylabel="y [m]", zlabel="z [m]")
     axes.set_box_aspect(tuple(half), zoom=0.88)
@@ -108,10 +130,10 @@ def _in_space(figure: Figure, joints: Sequence[DrawnJoint]) -> Any:
     return axes
 
 
-def _in_the_plane(figure: Figure, joints: Sequence[DrawnJoint]) -> Any:
+def _in_the_plane(figure: Figure, joints: Sequence[DrawnJoint], frames: Sequence[DrawnFrame]) -> Any:
     """Axes with the robot from above, a metre as long along x as along y."""
     axes: Any = figure.add_axes((0.07, 0.09, 0.54, 0.8))
-    middle, halves = _box(joints)
+    middle, halves = _box(joints, frames)
     half = float(halves.max())
     for joint in joints:
         corners = [(joint.pose[:, :3] @ corner + joint.pose[:, 3])[:2] for corner in joint.outline]
@@ -125,14 +147,20 @@ def _in_the_plane(figure: Figure, joints: Sequence[DrawnJoint]) -> Any:
             arrow = {"arrowstyle": "->", "color": COLOURS["prismatic"], "linewidth": 1.4}
             axes.annotate("", xy=tip, xytext=end, arrowprops=arrow, zorder=3)
         axes.plot(*end, marker=MARKERS[joint.type], color=COLOURS[joint.type], markersize=6, zorder=4)
+    for frame in frames:
+        for direction, colour in zip(frame.pose[:, :2].T, TRIAD, strict=False):
+            ends = frame.pose[:2, 3] + np.outer([0.0, TRIAD_LENGTH * half], direction[:2])
+            axes.plot(*ends.T, color=colour, linewidth=3.0, zorder=2.5)
     axes.set(xlim=(middle[0] - half, middle[0] + half), ylim=(middle[1] - half, middle[1] + half))
     axes.set(xlabel="x [m]", ylabel="y [m]")
     axes.set_aspect("equal")
     return axes
 
 
-def _label(figure: Figure, axes: Any, joints: Sequence[DrawnJoint], dimension: int) -> None:
-    """The numbers of the joints beside them, none over another: joints seen at one place share a label."""
+def _label(
+    figure: Figure, axes: Any, joints: Sequence[DrawnJoint], frames: Sequence[DrawnFrame], dimension: int
+) -> None:
+    """Numbers of joints and names of frames, none over another: joints seen at one place share a label."""
     from mpl_toolkits.mplot3d import proj3d
 
     if dimension == 3:
@@ -153,7 +181,7 @@ def _label(figure: Figure, axes: Any, joints: Sequence[DrawnJoint], dimension: i
             groups.append((point, joint.pose[:, 3], [joint.number]))
         else:
             here.append(joint.number)
-    tip = ARROW * float(_box(joints)[1].max())
+    tip = ARROW * float(_box(joints, frames)[1].max())
     axles = [(0.0,) if joint.number is None else (0.0, tip / 2, tip) for joint in joints]
     dots = [
         seen(joint.pose[:, 3] + along * joint.pose[:, :3] @ joint.axis)
@@ -161,8 +189,9 @@ def _label(figure: Figure, axes: Any, joints: Sequence[DrawnJoint], dimension: i
         for along in axle
     ]
     taken: list[Array] = []
-    for point, place, numbers in groups:
-        text = _numbers(numbers)
+    named = [(seen(frame.pose[:, 3]), frame.pose[:, 3], frame.name) for frame in frames]
+    dots += [point for point, _, _ in named]
+    for point, place, text in [*((one, other, _numbers(numbers)) for one, other, numbers in groups), *named]:
         size = np.array([CHARACTER * len(text) + 4, LABEL])
         offset = _free_offset(point, size, taken, dots)
         taken.append(np.array([point + offset - size / 2, point + offset + size / 2]))

@@ -37,7 +37,7 @@ def fresh_controller(controller: str) -> CompiledController:
     if is_stale(controller):
         folder, spec = find_controller(controller), spec_of(controller)
         command = "clikgen generate" if spec in shipped_specs() else f"clikgen generate {spec}"
-        raise BadInput(f"{folder}: stale, {spec} changed; run '{command}'")
+        raise BadInput(f"{folder}: stale, {spec} or its URDF changed; run '{command}'")
     with progress_bar() as progress:
         progress.add_task(f"compiling {controller}", total=None)
         return CompiledController.load(controller)

@@ -63,7 +63,7 @@ def _file(robot: str) -> Path:
 def _draw(robot: Any, path: Path, q: Sequence[float], out: Path) -> None:
     """Write a picture of the robot at given joint positions."""
     from clikgen.analysis.figures import save
-    from clikgen.analysis.robot_figure import DrawnJoint, robot_figure
+    from clikgen.analysis.robot_figure import DrawnFrame, DrawnJoint, robot_figure
     from clikgen.symbolic.tree import numeric_poses
 
     poses = numeric_poses(robot, q)
@@ -80,9 +80,29 @@ def _draw(robot: Any, path: Path, q: Sequence[float], out: Path) -> None:
         )
         for joint in robot.joints
     ]
+    frames = [DrawnFrame(name, pose) for name, pose in _drawn_frames(robot, poses)]
     where = "q = 0" if not any(q) else f"q = [{', '.join(f'{value:.3g}' for value in q)}]"
-    figure = robot_figure(f"{path.stem}: {_freedom(robot)}, drawn at {where}", joints, robot.dimension)
+    figure = robot_figure(f"{path.stem}: {_freedom(robot)}, drawn at {where}", joints, robot.dimension, frames)
     save({out.stem: figure}, out.parent, [out.suffix.removeprefix(".")])
+
+
+def _drawn_frames(robot: Any, poses: Mapping[str, Any]) -> Iterable[tuple[str, Any]]:
+    """Name and [R | p] (3, 4) of the root and of the spec's frames, or of the link that most joints carry."""
+    import numpy as np
+
+    from clikgen.symbolic.tree import rotation_matrix
+
+    yield robot.root, poses[robot.root]
+    if robot.frames:
+        for frame in robot.frames:
+            rotation, position = poses[frame.link][:, :3], poses[frame.link][:, 3]
+            yield frame.name, np.column_stack([rotation @ rotation_matrix(frame.rpy), rotation @ frame.xyz + position])
+        return
+    depth = {robot.root: 0}
+    for joint in robot.joints:
+        depth[joint.link] = depth[robot.parent(joint)] + joint.independent
+    tip = max(reversed(depth), key=lambda link: depth[link])
+    yield tip, poses[tip]
 
 
 def _configuration(robot: Any, at: str | None) -> list[float]:

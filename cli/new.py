@@ -37,7 +37,7 @@ def command(
     made = starter(called, os.path.relpath(urdf, out), model.robot, frame)
     files = {out / f"{called}.toml": made.spec, out / f"{called}_first.toml": made.scenario}
     for path in files:
-        if path.exists():
+        if path.exists() or path.is_symlink():
             raise BadInput(f"{path}: is there already; delete it, or give another --name or --out")
     commit_all({path: text.encode() for path, text in files.items()})
     for note in (*model.notes, *made.notes):

@@ -6,6 +6,7 @@ import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
+from pathlib import Path
 
 import casadi as ca
 import numpy as np
@@ -213,6 +214,8 @@ def _goal_and_way(robot: Robot, link: str) -> tuple[_Goal, _Way]:
     """A goal of as many rows as the frame can follow, and the first run of it."""
     frame = _Frame(robot, link)
     q = _inside(robot, random_configurations(robot, SAMPLES, seed=0))
+    aside = [joint.name not in {_leader(one) for one in _chain(robot, link)} for joint in robot.coordinates]
+    q[:, aside] = np.clip(0.0, *_bounds(robot))[aside]  # legs and head stand as they would by themselves
     position, angular, place, _, lowest = frame.at(q)
     both = np.concatenate([position, angular], axis=1)
     rank = _rank(position)
@@ -326,12 +329,12 @@ def _rpy(R: Array) -> tuple[float, float, float]:
 
 def _spec(name: str, urdf: str, robot: Robot, held: Mapping[str, float], goal: _Goal, way: _Way) -> str:
     joints = [joint.name for joint in robot.coordinates]
-    text = f"""# A first controller for {" ".join(urdf.split())}. Every number is a starting point:
+    text = f"""# A first controller for {" ".join(Path(urdf).name.split())}. Every number is a starting point:
 # `clikgen analyse` says how far gains, sampling time and filter may go. The joints, as lists below order them:
 {_wrapped(joints)}
 
 name = "{name}"
-description = {_string(f"first controller of {urdf}")}
+description = {_string(f"first controller of {Path(urdf).name}")}
 period = 0.005          # T [s]
 law = "augmented"       # or "nsb", the paper's (eq. 11)
 

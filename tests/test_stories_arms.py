@@ -46,6 +46,10 @@ def test_corridor_shares_the_motion_between_base_and_arm_past_three_obstacles():
     points = [point.name for point in rollout.manifest.points]
     met = (rollout.signals["distance"] < rollout.parameters["influence_radius"]).any(axis=0)
     assert {name.split("_")[0] for name, touched in zip(points, met, strict=True) if touched} >= {"base", "elbow"}
+    pose = CompiledController.load("mobile_panda").kinematics.map(len(rollout.t), {"q": rollout.q[:-1]})
+    apart = np.linalg.norm(pose["point_position"][:, None] - rollout.obstacle_center[:, :, None], axis=3)
+    gaps = apart - rollout.obstacle_radius[:, None] - rollout.parameters["influence_radius"]
+    assert np.all(gaps.min(axis=(0, 2)) < -0.005)  # each of the three is met
     assert 0.2 < rollout.active.mean() < 0.5
     assert np.min(rollout.signals["clearance"]) > -0.03  # [m] of influence radii of 0.15 to 0.45 m
     assert largest(rollout, "hand_error") < 3e-4  # [m] over a way of 3 m: the Euler lag, no more

@@ -248,3 +248,13 @@ def test_picture_of_an_unknown_kind_or_place_is_one_line(run_clikgen, crane, tmp
     (tmp_path / "taken").write_text("mine")
     assert "taken" in complaint(run_clikgen, crane, "--out", tmp_path / "taken" / "it.png")
     assert {path.name for path in tmp_path.iterdir()} == {"crane.urdf", "taken"}
+
+
+def test_root_and_tool_are_named_in_the_picture():
+    from clikgen.analysis.robot_figure import DrawnFrame, DrawnJoint, robot_figure
+
+    root, pose = (np.column_stack([np.eye(3), place]) for place in ([0.0, 0.0, 0.0], [0.5, 0.2, 0.0]))
+    joints = [DrawnJoint("j", "revolute", 0, pose, root, (0.0, 0.0, 1.0))]
+    for dimension in (2, 3):
+        (axes,) = robot_figure("one", joints, dimension, [DrawnFrame("floor", root), DrawnFrame("gripper", pose)]).axes
+        assert {"0", "floor", "gripper"} == {text.get_text() for text in axes.texts if text.get_text()}

@@ -290,3 +290,10 @@ def test_nothing_is_overwritten(run_clikgen, taken, tmp_path):
     assert f"{taken}: is there already" in complaint(run_clikgen, "made.urdf", cwd=tmp_path)
     assert run_clikgen("new", "made.urdf", "--name", "other", cwd=tmp_path).returncode == 0
     assert (tmp_path / taken).read_text() == "mine"
+
+
+def test_link_that_leads_nowhere_is_not_replaced(run_clikgen, tmp_path):
+    (tmp_path / "made.urdf").write_text(MADE["six joints"][0])
+    (tmp_path / "made.toml").symlink_to("nowhere.toml")
+    assert "made.toml: is there already" in complaint(run_clikgen, "made.urdf", cwd=tmp_path)
+    assert (tmp_path / "made.toml").is_symlink()

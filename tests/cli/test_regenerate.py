@@ -144,7 +144,7 @@ def test_stale_controller_is_told_of_and_not_run_until_it_is_generated_again(run
     refused = run_clikgen("simulate", "reach.toml", cwd=project)
     assert refused.returncode == 2
     assert refused.stderr.count("\n") == 1
-    for piece in ("clikgen: error: ", "my_arm: stale", "my_arm.toml changed; run 'clikgen generate"):
+    for piece in ("clikgen: error: ", "my_arm: stale", "my_arm.toml or its URDF changed; run 'clikgen generate"):
         assert piece in refused.stderr
     assert run_clikgen("generate", "my_arm.toml", cwd=project).returncode == 0
     assert states() == {"my_arm": "fresh", "other": "fresh"}
