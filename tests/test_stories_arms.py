@@ -34,6 +34,7 @@ def test_it_starts_on_its_references_ends_on_them_and_never_jumps(name):
 def test_shelf_keeps_its_pose_while_a_ball_pushes_the_elbow():
     rollout = run("shelf")
     assert 0.15 < rollout.active.mean() < 0.5
+    assert not rollout.active[rollout.t < 9.5].any()  # neither beam nor table is touched; the ball comes at 10.1 s
     assert np.min(rollout.signals["clearance"]) > -0.007  # where the avoidance has faded in against the pose
     assert largest(rollout, "hand_error") < 1e-4  # [m] the seventh joint is enough to give way
     assert largest(rollout, "hand_orientation_error") < 2e-4  # [rad]
@@ -62,9 +63,7 @@ def test_carry_keeps_the_hands_together_and_the_arms_apart():
     rollout = run("carry")
     assert largest(rollout, "right_error") < 1e-4  # [m] of the right hand's place beside the left
     assert largest(rollout, "left_error") < 2e-4
-    margin = rollout.parameters["apart_margin"]
-    distance = rollout.signals["apart_distance"]
-    assert np.any(distance < margin)  # forearm and torso do come near
-    assert np.min(distance - margin) > -0.004  # [m] of a margin of 40 mm
+    least = np.min(rollout.signals["apart_distance"])
+    assert 0.036 < least < 0.04  # [m] 0.0377: into the margin of 40 mm; without the task forearm and torso would meet
     travelled = np.ptp(rollout.position, axis=0)
     assert np.all(travelled > [0.05, 0.1, 0.15])
