@@ -4,7 +4,7 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: demo test bench growth clean
+.PHONY: demo test bench growth laws chatter clean
 
 demo: $(VENV)/ready
 	$(BIN)/clikgen demo
@@ -22,6 +22,12 @@ bench: $(VENV)/ready
 
 growth: $(VENV)/ready
 	$(BIN)/python benchmarks/growth.py
+
+laws: $(VENV)/ready
+	$(BIN)/python benchmarks/laws.py
+
+chatter: $(VENV)/ready
+	$(BIN)/python benchmarks/chatter.py
 
 $(VENV)/ready: pyproject.toml requirements.lock
 	$(PYTHON) -m venv --clear $(VENV)

@@ -41,6 +41,7 @@ PROBE = 1.0
 """[m] depth at which the law is probed: it is affine in the depth, and J_o⁺ is damped the less the deeper."""
 CURVATURE_STEP = 1e-4
 """Joint step [m, rad] of the central difference of the Jacobian: error about 1e-8, rounding about 1e-12."""
+SAME = 1e-9  # [m] distances nearer to each other are the same, but for rounding
 SHORTEST = 16  # samples; fewer tell nothing of a regime
 FEWEST_CYCLES = 3  # complete cycles in an encounter; with fewer there is no regime to speak of
 PAIRED = 400  # samples at most whose pairs tell how depths fan out
@@ -242,9 +243,14 @@ def point_index(manifest: Manifest, point: str) -> int:
 
 
 def _avoidance(manifest: Manifest) -> str:
-    """The name of the obstacle avoidance task; raises BadInput without one."""
+    """The name of the obstacle avoidance task; raises BadInput without one, or where it is not the paper's switched."""
     for task in manifest.tasks:
         if task.kind == "obstacle_avoidance":
+            if task.activation != "switched":
+                raise BadInput(
+                    f"{manifest.controller}: task '{task.name}': wanted the activation 'switched', of which the normal "
+                    f"map speaks, got '{task.activation}'"
+                )
             return task.name
     kinds = ", ".join(task.kind for task in manifest.tasks)
     raise BadInput(f"{manifest.controller}: wanted a task of kind 'obstacle_avoidance', got {kinds}")
@@ -520,11 +526,24 @@ class Measured:
         return len(self.points) == 1
 
 
+def sensed_depths(rollout: Rollout) -> Array:
+    """The depths x = s − d of every point by which the step acted, (N, points) [m]: noisy and late if it senses so."""
+    signals = rollout.signals
+    depths: Array = rollout.parameters["influence_radius"] - signals.get("sensed_distance", signals["distance"])
+    return depths
+
+
+def sensed_as_it_is(rollout: Rollout) -> bool:
+    """Whether the step knew the true distances all along, as the normal map supposes."""
+    true = rollout.signals["distance"]
+    return np.allclose(rollout.signals.get("sensed_distance", true), true, rtol=0, atol=SAME)
+
+
 def measure(rollout: Rollout, during: tuple[float, float] | None = None) -> tuple[Measured, ...]:
     """Every encounter of a rollout, or what of it lies within `during` [s, s].
 
-    The regime is told from the depths alone: no cycle; (nearly) every period 2; inside the depths fan out; more samples
-    outside than inside; or else a sawtooth. Raises BadInput for a rollout or a stretch that is too short, or
+    The regime is told from the sensed depths alone: no cycle; (nearly) every period 2; inside the depths fan out; more
+    samples outside than inside; or else a sawtooth. Raises BadInput for a rollout or a stretch that is too short, or
     without contact.
     """
     _avoidance(rollout.manifest)
@@ -533,14 +552,17 @@ def measure(rollout: Rollout, during: tuple[float, float] | None = None) -> tupl
     if last - first < SHORTEST:
         raise BadInput(f"too short to measure chatter in: wanted {SHORTEST} samples, got {max(last - first, 0)}")
     spans = [(max(begin, first), min(end, last)) for begin, end in encounters(rollout)]
-    found = tuple(_measured(rollout, begin, end) for begin, end in spans if end > begin)
+    depths = sensed_depths(rollout)
+    found = tuple(
+        _measured(rollout, depths, begin, end) for begin, end in spans if np.any(depths[begin : max(begin, end)] >= 0)
+    )
     if not found:
         raise BadInput(f"{rollout.scenario.name}: no point of interest met an obstacle: no chatter to measure")
     return found
 
 
-def _measured(rollout: Rollout, begin: int, end: int) -> Measured:
-    depths = rollout.parameters["influence_radius"] - rollout.signals["distance"][begin:end]  # (samples, points)
+def _measured(rollout: Rollout, everything: Array, begin: int, end: int) -> Measured:
+    depths = everything[begin:end]  # (samples, points)
     met = np.flatnonzero(np.any(depths >= 0, axis=0))
     depth = depths[:, met].max(axis=1)
     regime, (lengths, rises) = _regime(depth), cycles(depth)
@@ -608,9 +630,12 @@ def compare(
 
     The map is a mean over states spread over the stretch, a and c over samples inside and b over those outside, as
     v_n may differ between them; so it speaks for stretches along which v_n and v_t vary little. Encounters of
-    several points are left out: the normal map knows one. Raises BadInput as `measure` does.
+    several points are left out: the normal map knows one. Raises BadInput as `measure` does, and for a rollout that
+    sensed other distances than the true ones.
     """
     run = _prepared(controller, rollout)
+    if not sensed_as_it_is(rollout):
+        raise BadInput(f"{rollout.scenario.name}: wanted perfect sensing: the normal map knows no noise and no delay")
     found = []
     for measured in measure(rollout, during):
         if measured.single:
@@ -675,7 +700,7 @@ def sticking(controller: CompiledController, rollout: Rollout) -> Sticking | Non
     first = int(np.argmax(resting))
     ends = np.flatnonzero(~resting[first:])
     last = (first + int(ends[0]) if ends.size else len(resting)) + window - 1
-    depths = rollout.parameters["influence_radius"] - rollout.signals["distance"]  # (N, points)
+    depths = sensed_depths(rollout)
     name = rollout.manifest.points[int(np.argmax(depths[first : first + window].max(axis=0)))].name
     at = _contact_in(controller, run, rollout, first + window // 2, name)
     gain, damping = (float(rollout.parameters[f"{task}_{of}"]) for of in ("gain", "damping"))
@@ -704,7 +729,7 @@ def _resting(controller: CompiledController, run: Run, rollout: Rollout, window:
     alone = controller.step.map(steps, {**run.values, "q": rollout.q[:-1], "obstacle_count": np.zeros(())})["dq_law"]
     asked = np.linalg.norm(_moving_mean(alone, window), axis=1)
     made = np.linalg.norm(rollout.q[window:] - rollout.q[:-window], axis=1) / (window * rollout.period)
-    touching = _moving_mean(rollout.active[:, None].astype(np.float64), window)[:, 0] > 0
+    touching = _moving_mean(np.any(sensed_depths(rollout) >= 0, axis=1)[:, None].astype(np.float64), window)[:, 0] > 0
     short = _moving_mean(np.linalg.norm(rollout.error, axis=1)[:, None], window)[:, 0] > REST_ERROR
     resting: NDArray[np.bool_] = touching & short & (made < REST_SHARE * asked)
     return resting

@@ -7,7 +7,19 @@ from typing import Any
 
 import numpy as np
 
-from clikgen.analysis.chatter import SHORTEST, Comparison, Measured, Span, Sticking, compare, measure, sticking
+from clikgen.analysis.barrier_study import barrier_study, guarded_by_barrier
+from clikgen.analysis.chatter import (
+    SHORTEST,
+    Comparison,
+    Measured,
+    Span,
+    Sticking,
+    compare,
+    measure,
+    sensed_as_it_is,
+    sensed_depths,
+    sticking,
+)
 from clikgen.analysis.chatter_figures import chatter_plates
 from clikgen.analysis.metrics import metrics
 from clikgen.analysis.plates import Plate
@@ -23,10 +35,19 @@ CYCLES = 5  # that a stretch holds at least: slow chatter is looked at in longer
 
 
 def chatter_study(controller: CompiledController, scenario: Scenario, source: str = "scenario") -> Study:
-    """Cases 1-3 of a scenario: every encounter measured; where one point is in contact, also predicted.
+    """Cases 1-3 of a scenario at its contacts: the chatter of the paper's switched task, or the margin of a barrier.
+
+    Raises BadInput for a scenario that does not fit, without contact, or too short.
+    """
+    study = barrier_study if guarded_by_barrier(controller.manifest) else _switched_study
+    return study(controller, scenario, source)
+
+
+def _switched_study(controller: CompiledController, scenario: Scenario, source: str) -> Study:
+    """Every encounter measured; where one point is in contact, and sensed as it is, also predicted.
 
     An encounter is compared in stretches of WINDOW samples, along which the normal map hardly changes, or of CYCLES
-    cycles where these are longer. Raises BadInput for a scenario that does not fit, without contact, or too short.
+    cycles where these are longer.
     """
     rollouts = {number: prepare(controller, scenario, case, source).in_c() for number, case in CASES.items()}
     for number, rollout in rollouts.items():
@@ -59,19 +80,16 @@ def chatter_study(controller: CompiledController, scenario: Scenario, source: st
     return Study(
         title=f"Chatter of {scenario.name} on {controller.manifest.controller}",
         verdicts=[
-            *(_words(number, encounters[number], compared[number]) for number in rollouts),
+            *(_words(rollout, encounters[number], compared[number]) for number, rollout in rollouts.items()),
             *(f"Case {number}: {each.explanation}" for number, each in stuck.items() if each is not None),
         ],
-        tables=[
-            _encounter_table(encounters, rollouts),
-            _stretch_table(compared),
-        ],
+        tables=[_encounter_table(encounters, rollouts), *([_stretch_table(compared)] if everything else [])],
         plates=_plates(everything),
         assumptions=[
             f"Predictions are of the normal map of one point in contact, averaged over {WINDOW} samples or {CYCLES} "
             "cycles: where v_n and v_t change much within that, or several points are in contact, it does not speak.",
             "The map is made from compiled functions at states of the rollout; regime, period and amplitude are "
-            "measured from the depths alone.",
+            "measured from the depths alone, as they are sensed.",
             "c of the map is exact to O(T³): where a cycle's length hangs on it, the period is a range.",
         ],
         document=document,
@@ -79,18 +97,21 @@ def chatter_study(controller: CompiledController, scenario: Scenario, source: st
 
 
 def _encounters(rollout: Rollout) -> tuple[Measured, ...]:
-    return measure(rollout) if rollout.active.any() else ()
+    return measure(rollout) if np.any(sensed_depths(rollout) >= 0) else ()
 
 
 def _compared(controller: CompiledController, rollout: Rollout, encounters: Sequence[Measured]) -> list[Comparison]:
-    """Prediction and measurement for every stretch of the encounters in which one point alone is in contact."""
+    """Prediction and measurement for every stretch of the encounters in which one point alone is in contact.
+
+    None where distances are sensed wrongly: the normal map knows no noise and no delay.
+    """
     found: list[Comparison] = []
-    for encounter in encounters:
+    for encounter in encounters if sensed_as_it_is(rollout) else ():
         cycle = 0.0 if encounter.period is None else encounter.period.mean
         stretches = max(1, int((encounter.end - encounter.begin) / max(WINDOW, CYCLES * cycle)))
         edges = np.linspace(encounter.begin, encounter.end, stretches + 1).round().astype(int)
         for begin, end in pairwise(edges):
-            if end - begin >= SHORTEST and rollout.active[begin:end].any():
+            if end - begin >= SHORTEST and np.any(sensed_depths(rollout)[begin:end] >= 0):
                 found += compare(controller, rollout, (begin * rollout.period, end * rollout.period))
     return found
 
@@ -105,18 +126,21 @@ def _plates(comparisons: Sequence[Comparison]) -> list[Plate]:
     return chatter_plates(comparisons) if cycling else []
 
 
-def _words(number: int, encounters: Sequence[Measured], compared: Sequence[Comparison]) -> str:
+def _words(rollout: Rollout, encounters: Sequence[Measured], compared: Sequence[Comparison]) -> str:
     """One sentence on a case."""
     if not encounters:
-        return f"Case {number}: no contact."
+        return f"Case {rollout.case.number}: no contact."
     regimes = sorted({each.regime for each in encounters})
     agreed = sum(each.prediction.regime == each.measured.regime for each in compared)
-    beforehand = (
-        f"; the normal map predicts the regime in {agreed} of {len(compared)} stretches with one point in contact"
-        if compared
-        else "; several points are in contact at once, which the normal map does not know"
-    )
-    return f"Case {number}: {len(encounters)} encounter(s), {' and '.join(regimes)}{beforehand}."
+    if compared:
+        beforehand = (
+            f"the normal map predicts the regime in {agreed} of {len(compared)} stretches with one point in contact"
+        )
+    elif sensed_as_it_is(rollout):
+        beforehand = "several points are in contact at once, which the normal map does not know"
+    else:
+        beforehand = "by the distances as sensed; the normal map knows no noise and no delay, so nothing is predicted"
+    return f"Case {rollout.case.number}: {len(encounters)} encounter(s), {' and '.join(regimes)}; {beforehand}."
 
 
 def _encounter_table(encounters: Mapping[int, Sequence[Measured]], rollouts: Mapping[int, Rollout]) -> Table:

@@ -45,8 +45,9 @@ def clik_study(
 
     Gains are the eigenvalues of K_g, one scalar loop each; the largest is the one that matters for stability,
     the smallest for lag. `progress` is told of the measurement, the longest part. Raises BadInput for a scenario
-    that does not fit, without a tracking task, or through a singular Jacobian.
+    that does not fit, without a tracking task, through a singular Jacobian, or with another planner than `event`.
     """
+    controller.manifest.check_planner("event")
     runs = {number: prepare(controller, scenario, CASES[number], source) for number in (1, 2)}
     slowest, fastest, cutoff = _gains_and_cutoff(runs[1])
     if np.ptp(runs[1].values["filter_cutoff"]) > 0:  # A_β = βI with the least f_c, as after eq. 16

@@ -31,8 +31,10 @@ def filter_study(
     """The filter of joint 0 at f_c = `cutoff` [Hz] and T = `period` [s], the manifest's defaults where None.
 
     `design` [Hz] is a wanted true −3 dB frequency, for which β and the f_c to write are given. Raises BadInput
-    for values outside the manifest's limits or a design beyond the Nyquist frequency.
+    for values outside the manifest's limits, a design beyond the Nyquist frequency, or a planner other than `event`,
+    which filters something else.
     """
+    controller.manifest.check_planner("event")
     measured = [measure_response(controller, 0, cutoff, period, excitation=kind) for kind in ("noise", "swept sine")]
     beta, T = measured[0].beta, measured[0].period
     f_c, end = cutoff_of(beta, T), minus_3_db(beta)

@@ -82,7 +82,8 @@ def scenario_studies(
     studies = [simulation_study(controller, rollouts)]
     parameters = rollouts[1].parameters
     progress("measuring the compiled filter")
-    studies.append(filter_study(controller, float(np.min(parameters["filter_cutoff"])), rollouts[1].period))
+    cutoff, period = float(np.min(parameters["filter_cutoff"])), rollouts[1].period
+    studies.append(_or_why_not("Filter", lambda: filter_study(controller, cutoff, period)))
     progress("measuring the compiled loop over gain and sampling time")
     studies.append(_or_why_not("CLIK loop", lambda: clik_study(controller, scenario, source)))
     if any(rollout.active.any() for rollout in rollouts.values()):

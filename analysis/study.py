@@ -26,3 +26,4 @@ class Study:
     plates: Sequence[Plate]
     assumptions: Sequence[str]
     document: Mapping[str, Any]
+    holds: bool = True  # False where something is guaranteed and was not found

@@ -57,12 +57,30 @@ def without_limits(step: FunctionInfo) -> dict[str, Array]:
     }
 
 
+def without_boundaries(manifest: Manifest) -> dict[str, Array]:
+    """Joint limits and walls as far away as the step takes them, margins as narrow, and rates of barriers as high.
+
+    A barrier has no gain that could be zero: it acts in every configuration beyond its boundary, and before it.
+    """
+    names = {
+        f"{task.name}_{key}": far
+        for task in manifest.tasks
+        if not task.equality
+        for key, far in (("lower", -1), ("upper", 1), ("offset", -1), ("margin", -1), ("rate", 1))
+    }
+    return {
+        signal.name: np.full(signal.shape, signal.maximum if names[signal.name] > 0 else signal.minimum)
+        for signal in manifest.function("step").inputs
+        if signal.name in names
+    }
+
+
 def alone(manifest: Manifest) -> dict[str, Array]:
-    """The step with limits wide open and the gain of every task but the tracking task at zero.
+    """The step with limits wide open, nothing to avoid, and the gain of every task but the tracking task at zero.
 
     What a lower task wants moves the arm in its null space, and the curvature of that would pass for an error.
     """
     step, tracking = manifest.function("step"), manifest.tracking_task().name
     others = {f"{task.name}_gain" for task in manifest.tasks if task.name != tracking}
     gains = {signal.name: np.zeros(signal.shape) for signal in step.inputs if signal.name in others}
-    return without_limits(step) | gains
+    return without_limits(step) | without_boundaries(manifest) | gains

@@ -32,6 +32,7 @@ from clikgen.symbolic.robot import PointOfInterest
 from clikgen.symbolic.spec import ControllerSpec, read_spec, shipped_specs
 
 QUICK = "--quick" in sys.argv
+SWITCHED = {"kind": "switched", "gain": 50.0, "damping": 1e-3}
 ROUNDS = 5 if QUICK else 25
 STATES = 4096  # at random: so many that no branch predictor learns them by heart
 STAYS = 256  # steps in one state, for `ns`
@@ -152,7 +153,7 @@ def serial_arm(n: int, law: str) -> ControllerSpec:
         "robot": robot,
         "obstacles": {"maximum": 3},
         "tasks": [
-            {"name": "obstacles", "kind": "obstacle_avoidance", "gain": 50.0, "damping": 1e-3},
+            {"name": "obstacles", "kind": "obstacle_avoidance", "activation": SWITCHED},
             {"name": "tool", "kind": "frame_position", "frame": "tool", "gain": 4.0},
         ],
         "filter": {"kind": "first_order", "cutoff": 4.0},

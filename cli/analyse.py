@@ -5,18 +5,14 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from clikgen.cli.scenarios import AsJson, ScenarioName, Settings, load_scenario
+
 if TYPE_CHECKING:
     from clikgen.analysis.study import Study
-    from clikgen.runtime.controller import CompiledController
-    from clikgen.runtime.scenario import Scenario
 
 app = typer.Typer(help="Choose T, K and f_c from evidence.", no_args_is_help=True)
 
-Settings = Annotated[
-    list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="A parameter or a key of the scenario.")
-]
 Out = Annotated[Path | None, typer.Option(help="Folder for figures (PNG, SVG) and their data (CSV).")]
-AsJson = Annotated[bool, typer.Option("--json", help="One JSON document on stdout.")]
 
 
 @app.command("filter")
@@ -44,7 +40,7 @@ def filter_command(
 
 @app.command("clik")
 def clik_command(
-    scenario: Annotated[str, typer.Argument(help="A scenario that ships, or a .toml file.")],
+    scenario: ScenarioName,
     settings: Settings = None,
     delay: Annotated[int, typer.Option(help="Transport delay [samples].")] = 0,
     servo: Annotated[float, typer.Option(help="Lag of the joints' velocity servos [s].")] = 0.0,
@@ -55,7 +51,7 @@ def clik_command(
     from clikgen.analysis.clik_study import clik_study
     from clikgen.cli.terminal import progress_bar
 
-    controller, wanted, source = _scenario(scenario, settings)
+    controller, wanted, source = load_scenario(scenario, settings)
     with progress_bar() as progress:
         task = progress.add_task("measuring compiled rollouts", total=None)
 
@@ -68,16 +64,19 @@ def clik_command(
 
 @app.command("chatter")
 def chatter_command(
-    scenario: Annotated[str, typer.Argument(help="A scenario that ships, or a .toml file.")],
+    scenario: ScenarioName,
     settings: Settings = None,
     out: Out = None,
     as_json: AsJson = False,
 ) -> int:
-    """Chatter of cases 1-3: regime, period, amplitude, predicted and measured; sticking."""
+    """Chatter of cases 1-3, predicted and measured, and sticking; of a barrier, how much margin sampling takes.
+
+    Exit code 1 if a clearance fell below what the barrier guarantees.
+    """
     from clikgen.analysis.chatter_study import chatter_study
     from clikgen.cli.terminal import progress_bar
 
-    controller, wanted, source = _scenario(scenario, settings)
+    controller, wanted, source = load_scenario(scenario, settings)
     with progress_bar() as progress:
         progress.add_task("predicting and measuring chatter", total=None)
         study = chatter_study(controller, wanted, source)
@@ -86,7 +85,7 @@ def chatter_command(
 
 @app.command("report")
 def report_command(
-    scenario: Annotated[str, typer.Argument(help="A scenario that ships, or a .toml file.")],
+    scenario: ScenarioName,
     settings: Settings = None,
     out: Annotated[Path, typer.Option(help="Folder for report.html, figures and data.")] = Path("report"),
     as_json: AsJson = False,
@@ -97,7 +96,7 @@ def report_command(
     from clikgen.cli.terminal import messages, print_json, progress_bar
     from clikgen.runtime.documents import json_text, make_folder, write_atomically
 
-    controller, wanted, source = _scenario(scenario, settings)
+    controller, wanted, source = load_scenario(scenario, settings)
     make_folder(out)
     with progress_bar() as progress:
         task = progress.add_task("studying", total=None)
@@ -117,17 +116,7 @@ def report_command(
     if as_json:
         print_json(document)
     messages.print(f"wrote {out / 'report.html'} ({len(page) / 1e6:.1f} MB), report.json, figures and their data")
-    return 0
-
-
-def _scenario(name: str, settings: list[str] | None) -> "tuple[CompiledController, Scenario, str]":
-    """A scenario, its compiled controller, and the file it is from."""
-    from clikgen.cli.freshness import fresh_controller
-    from clikgen.runtime.scenario import find_scenario, read_scenario
-
-    path = find_scenario(name)
-    wanted = read_scenario(path, settings or [])
-    return fresh_controller(wanted.controller), wanted, str(path)
+    return 0 if all(study.holds for study in studies) else 1
 
 
 def _deliver(study: "Study", out: Path | None, as_json: bool) -> int:
@@ -142,9 +131,9 @@ def _deliver(study: "Study", out: Path | None, as_json: bool) -> int:
         messages.print(f"wrote {len(paths)} files to {out}")
     if as_json:
         print_json(study.document)
-        return 0
+        return 0 if study.holds else 1
     for table in study.tables:
         print_table(table.title, table.columns, table.rows)
     for verdict in study.verdicts:
         print(verdict)
-    return 0
+    return 0 if study.holds else 1

@@ -20,8 +20,6 @@ def command(
     as_json: Annotated[bool, typer.Option("--json", help="One JSON document on stdout.")] = False,
 ) -> int:
     """Show a robot's joints, links and limits as tables, and draw it."""
-    from rich.markup import escape  # "[m]" is a unit, not markup
-
     from clikgen.cli.terminal import messages, print_json, print_table
     from clikgen.symbolic.spec import read_robot
 
@@ -39,7 +37,7 @@ def command(
             if _width(columns, rows) > WIDTH:
                 rows = [[cell.replace(" -> ", " ->\n") for cell in row] for row in rows]
             width = None if sys.stdout.isatty() else max(WIDTH, _width(columns, rows))
-            print_table(escape(title), [escape(column) for column in columns], rows, width=width)
+            print_table(title, columns, rows, width=width)
     for note in model.notes:
         messages.print(f"note: {note}")
     if out:

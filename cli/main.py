@@ -6,7 +6,7 @@ from typing import NoReturn
 
 import typer
 
-from clikgen.cli import analyse, demo, doctor, generate, inspect, listing, new, simulate, view
+from clikgen.cli import analyse, compare, demo, doctor, generate, inspect, listing, new, simulate, view
 from clikgen.runtime.documents import BadInput
 
 app = typer.Typer(
@@ -21,6 +21,7 @@ app.command("generate")(generate.command)
 app.command("inspect")(inspect.command)
 app.command("new")(new.command)
 app.command("simulate")(simulate.command)
+app.command("compare")(compare.command)
 app.command("view")(view.command)
 app.add_typer(analyse.app, name="analyse")
 app.command("list")(listing.command)

@@ -21,9 +21,9 @@ def print_json(document: Any) -> None:
 
 def print_table(title: str, columns: Sequence[str], rows: Iterable[Sequence[str]], width: int | None = None) -> None:
     """A table on stdout, as wide as the terminal or `width` characters; the first column is the name of the row."""
-    table = Table(title=title, title_justify="left", title_style="bold", show_lines=False)
+    table = Table(title=Text(title), title_justify="left", title_style="bold", show_lines=False)
     for i, column in enumerate(columns):
-        table.add_column(column, style="bold" if i == 0 else None, no_wrap=i == 0)
+        table.add_column(Text(column), style="bold" if i == 0 else None, no_wrap=i == 0)
     for row in rows:
         table.add_row(*map(Text, row))  # as it is: "[s]" is a unit, not markup
     Console(highlight=False, width=width).print(table)

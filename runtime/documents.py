@@ -2,20 +2,32 @@
 
 import difflib
 import json
+import math
 import os
 import tempfile
 import tomllib
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, Any, Self
+from typing import Annotated, Any, Self, TypeVar
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, model_validator
 from pydantic_core import PydanticCustomError
 
 Number = Annotated[float, Field(strict=True, allow_inf_nan=False)]
 Positive = Annotated[float, Field(strict=True, allow_inf_nan=False, gt=0)]
 NonNegative = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=0)]
 Identifier = Annotated[str, Field(pattern=r"^[a-z][a-z0-9]*(_[a-z0-9]+)*$", max_length=40)]
+
+Vector = TypeVar("Vector", bound=tuple[float, ...])
+
+
+def _has_unit_length(vector: Vector) -> Vector:
+    if not math.isclose(math.hypot(*vector), 1.0, abs_tol=1e-9):
+        raise ValueError("wanted a unit vector")
+    return vector
+
+
+UnitVector = Annotated[Vector, AfterValidator(_has_unit_length)]  # UnitVector[tuple[Number, Number, Number]]
 
 TEMPORARY_SUFFIX = ".clikgen-tmp"
 

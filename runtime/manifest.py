@@ -168,12 +168,14 @@ class TaskInfo(Document):
     """A task, in priority order: its kind, its number of rows, and whether it `tracks` a position in the world.
 
     One that does has the outputs `<name>_position` and `<name>_error` and the reference `<name>`, in metres, all
-    along its `axes` of the world (0, 1, 2). `frame` is what the task moves, where it moves one.
+    along its `axes` of the world (0, 1, 2). `frame` is what the task moves, where it moves one. `activation` says
+    how a one-sided task, one without `equality`, begins and ends to act.
     """
 
     name: str
     kind: str
     equality: bool
+    activation: str | None = None
     dimension: int
     tracks: bool = False
     axes: tuple[int, ...] = ()
@@ -216,6 +218,7 @@ class Manifest(Document):
     law: str
     velocity_limits: str | None = None
     filter: str
+    planner: str
     functions: tuple[FunctionInfo, ...]
 
     @property
@@ -247,6 +250,11 @@ class Manifest(Document):
             if task.kind == "frame_position":
                 return task
         raise BadInput(f"{self.controller}: wanted a task of kind frame_position, got none")
+
+    def check_planner(self, kind: str) -> None:
+        """Raises BadInput for another planner than `kind`, of which a theory does not speak."""
+        if self.planner != kind:
+            raise BadInput(f"{self.controller}: wanted the planner '{kind}', got '{self.planner}'")
 
     def function(self, name: str) -> FunctionInfo:
         """The generated function called `name` (kinematics, jacobians, step)."""

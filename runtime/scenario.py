@@ -1,6 +1,5 @@
 """A scenario: what a controller is asked to do, from a TOML file."""
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from importlib import resources
@@ -16,6 +15,7 @@ from clikgen.runtime.documents import (
     NonNegative,
     Number,
     Positive,
+    UnitVector,
     choices,
     parse_toml_value,
     read_toml,
@@ -74,14 +74,8 @@ class Capsule(Document):
 class HalfSpace(Document):
     """All points p with normalᵀp <= offset [m]: a wall, a floor or a ceiling."""
 
-    normal: tuple[Number, ...]
+    normal: UnitVector[tuple[Number, ...]]
     offset: Number
-
-    @model_validator(mode="after")
-    def _normal_is_a_unit_vector(self) -> Self:
-        if not math.isclose(math.hypot(*self.normal), 1.0, abs_tol=1e-9):
-            raise ValueError(f"wanted normal to be a unit vector, got {list(self.normal)}")
-        return self
 
 
 class MetricSettings(Document):
@@ -89,6 +83,23 @@ class MetricSettings(Document):
 
     f_h: Positive = Field(default=5.0, description="hf_rms counts what lies above this frequency [Hz]")
     dead_band: NonNegative = Field(default=0.01, description="smaller velocity reversals are not counted")
+
+
+class Sensing(Document):
+    """How the step is told where the balls are, once per period: perfectly, unless this says otherwise.
+
+    A ball on the path o(t) is sensed at o(max(t − delay, 0)) + noise · w, where w ~ N(0, 1) is drawn anew for every
+    coordinate of every ball in every period, the same for every case. Capsules and half-spaces are sensed perfectly.
+    """
+
+    noise: NonNegative = Field(default=0.0, le=1e3, description="standard deviation of each coordinate [m]")
+    delay: NonNegative = Field(default=0.0, description="how old the sensed positions and velocities are [s]")
+    seed: Annotated[int, Field(strict=True, ge=0, description="another one gives other noise")] = 0
+
+    @property
+    def perfect(self) -> bool:
+        """Whether the step is told the truth."""
+        return self.noise == 0 and self.delay == 0
 
 
 class Scenario(Document):
@@ -104,6 +115,7 @@ class Scenario(Document):
     obstacles: tuple[Obstacle, ...] = ()
     capsules: tuple[Capsule, ...] = ()
     half_spaces: tuple[HalfSpace, ...] = ()
+    sensing: Sensing = Sensing()
     metrics: MetricSettings = MetricSettings()
 
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from clikgen.runtime.clearance import distances
 from clikgen.runtime.controller import CompiledController
 from clikgen.runtime.documents import BadInput
 from clikgen.runtime.manifest import Manifest
@@ -25,6 +26,9 @@ class Rollout:
     `signals` holds every output of the step over time, (N, ...), and the state q, (N + 1, n); `parameters` what
     the step was given for each of its parameters. The reference of the first tracking task is (N, m) [m] and
     [m/s], (N, 0) without one; obstacle centres are (N, obstacles, m) and radii (obstacles,) [m].
+
+    Distances, clearances and obstacle centres are the true ones. Where the scenario's sensing is not perfect, the
+    signals `sensed_distance` and `sensed_clearance` are what the step took them for; `active` is always its belief.
     """
 
     scenario: Scenario
@@ -89,8 +93,16 @@ class Rollout:
 
     @property
     def active(self) -> NDArray[np.bool_]:
-        """Whether some influence region met an obstacle, (N,)."""
-        return self.signals["active"] > 0 if "active" in self.signals else np.zeros(len(self.t), dtype=bool)
+        """Whether some influence region met an obstacle, or a one-sided task acted, (N,).
+
+        A barrier engages before its boundary and keeps it, so that no region need ever be met; a contact under
+        hysteresis still counts where it is left.
+        """
+        acted = np.zeros(len(self.t), dtype=bool)
+        for name in ("active", "barrier_steps", *(f"{task.name}_share" for task in self.manifest.tasks)):
+            if name in self.signals:
+                acted |= (self.signals[name] > 0).reshape(len(self.t), -1).any(axis=1)
+        return acted
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -121,16 +133,14 @@ class Run:
     def _rollout(self, signals: Mapping[str, Array]) -> Rollout:
         tracked = next((task.name for task in self.controller.manifest.tracking_tasks), None)
         untracked = np.zeros((self.steps, 0))
-        centers = self.values.get("obstacle_center")
-        present = len(self.scenario.obstacles)
-        nothing = np.zeros((self.steps, 0, self.controller.manifest.dimension))
+        centers = self._true_centers()
         return Rollout(
             scenario=self.scenario,
             case=self.case,
             manifest=self.controller.manifest,
             period=self.period,
-            t=self.period * np.arange(self.steps, dtype=np.float64),
-            signals=signals,
+            t=_times(self.steps, self.period),
+            signals=signals if self.scenario.sensing.perfect else self._with_truth(signals, centers),
             tracked=tracked,
             parameters={
                 signal.name: self.values[signal.name]
@@ -139,9 +149,32 @@ class Run:
             },
             reference=self.values.get(f"{tracked}_reference", untracked),
             reference_velocity=self.values.get(f"{tracked}_reference_velocity", untracked),
-            obstacle_center=nothing if centers is None else centers[:, :present],
+            obstacle_center=centers,
             obstacle_radius=np.array([obstacle.radius for obstacle in self.scenario.obstacles]),
         )
+
+    def _true_centers(self) -> Array:
+        """Where the balls really are, (steps, obstacles, m) [m]."""
+        manifest, present = self.controller.manifest, len(self.scenario.obstacles)
+        if not present:
+            return np.zeros((self.steps, 0, manifest.dimension))
+        if self.scenario.sensing.perfect:
+            return self.values["obstacle_center"][:, :present]
+        return _balls(self.scenario, manifest, _times(self.steps, self.period))[0][:, :present]
+
+    def _with_truth(self, signals: Mapping[str, Array], centers: Array) -> Mapping[str, Array]:
+        """The signals with the true `distance` and `clearance`, and the step's own as the `sensed_` ones."""
+        if "distance" not in signals:
+            return signals
+        points = self.controller.kinematics.map(self.steps, {"q": signals["q"][:-1]})["point_position"]
+        distance = distances(points, centers, self.scenario)
+        return {
+            **signals,
+            "distance": distance,
+            "clearance": np.min(distance - self.values["influence_radius"], axis=1),
+            "sensed_distance": signals["distance"],
+            "sensed_clearance": signals["clearance"],
+        }
 
 
 def prepare(controller: CompiledController, scenario: Scenario, case: Case, source: str = "scenario") -> Run:
@@ -165,22 +198,27 @@ def prepare(controller: CompiledController, scenario: Scenario, case: Case, sour
     steps = math.floor(scenario.duration / period + 1e-9)
     if not 1 <= steps <= LONGEST:
         raise BadInput(f"{source}: duration: wanted 1 to {LONGEST} periods of {period:g} s, got {steps}")
-    t = period * np.arange(steps, dtype=np.float64)
+    t = _times(steps, period)
     for name, reference in scenario.references.items():
         values[f"{name}_reference"], values[f"{name}_reference_velocity"] = reference.sample(t)
     values |= _obstacles(scenario, manifest, t)
     return Run(controller, scenario, case, steps, period, values)
 
 
+def _times(steps: int, period: float) -> Array:
+    """When the periods begin, t_k = k·T, (steps,) [s]."""
+    return period * np.arange(steps, dtype=np.float64)
+
+
 def _obstacles(scenario: Scenario, manifest: Manifest, t: Array) -> dict[str, Array]:
-    """Where the obstacles are over time, as the step wants them: unused places stay zero."""
+    """Where the obstacles are sensed over time, as the step wants them: unused places stay zero."""
     values: dict[str, Array] = {}
     if scenario.obstacles:
-        center = np.zeros((t.size, manifest.obstacles, manifest.dimension))
-        radius = np.zeros(manifest.obstacles)
-        for i, obstacle in enumerate(scenario.obstacles):
-            center[:, i], radius[i] = obstacle.motion.sample(t)[0], obstacle.radius
-        values |= {"obstacle_center": center, "obstacle_radius": radius}
+        center, velocity = _sensed_balls(scenario, manifest, t)
+        values["obstacle_center"] = center
+        if any(signal.name == "obstacle_velocity" for signal in manifest.function("step").inputs):
+            values["obstacle_velocity"] = velocity
+        values["obstacle_radius"] = _filled([one.radius for one in scenario.obstacles], (manifest.obstacles,))
         values["obstacle_count"] = np.array(float(len(scenario.obstacles)))
     if scenario.capsules:
         values |= {
@@ -197,6 +235,27 @@ def _obstacles(scenario: Scenario, manifest: Manifest, t: Array) -> dict[str, Ar
             "half_space_count": np.array(float(len(scenario.half_spaces))),
         }
     return values
+
+
+def _sensed_balls(scenario: Scenario, manifest: Manifest, t: Array) -> tuple[Array, Array]:
+    """The centres and velocities of the balls as they are sensed at the times t, both (k, places, m) [m, m/s].
+
+    Both are as old as the sensing's delay, but never from before t = 0; the centres alone are noisy.
+    """
+    sensing, present = scenario.sensing, len(scenario.obstacles)
+    center, velocity = _balls(scenario, manifest, np.maximum(t - sensing.delay, 0.0))
+    if sensing.noise:
+        draw = np.random.default_rng(sensing.seed)
+        center[:, :present] += sensing.noise * draw.standard_normal((t.size, present, manifest.dimension))
+    return center, velocity
+
+
+def _balls(scenario: Scenario, manifest: Manifest, t: Array) -> tuple[Array, Array]:
+    """The true centres and velocities of the balls at the times t (k,), both (k, places, m) [m, m/s]."""
+    center, velocity = np.zeros((2, t.size, manifest.obstacles, manifest.dimension))
+    for i, obstacle in enumerate(scenario.obstacles):
+        center[:, i], velocity[:, i] = obstacle.motion.sample(t)
+    return center, velocity
 
 
 def _filled(rows: ArrayLike, shape: tuple[int, ...]) -> Array:

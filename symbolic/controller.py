@@ -8,11 +8,15 @@ import casadi as ca
 
 from clikgen.runtime.documents import BadInput
 from clikgen.symbolic import laws
-from clikgen.symbolic.obstacles import Loop, Obstacles, Sensing
+from clikgen.symbolic.activation import Correction, Guard
+from clikgen.symbolic.barrier import Barrier
+from clikgen.symbolic.obstacles import Obstacles, Sensing
+from clikgen.symbolic.planner import Motion
 from clikgen.symbolic.signals import Signal, result, symbol
 from clikgen.symbolic.spec import ControllerSpec
 from clikgen.symbolic.stack import stack_notes
-from clikgen.symbolic.task import Task
+from clikgen.symbolic.stage import Stage, composed, used_stages
+from clikgen.symbolic.task import Level, Task, TaskSpec
 from clikgen.symbolic.tree import KinematicTree
 
 
@@ -34,7 +38,7 @@ class Controller:
 
     spec: ControllerSpec
     functions: tuple[ControllerFunction, ...]
-    tasks: tuple[Task, ...]
+    tasks: tuple[Level, ...]
     notes: tuple[str, ...]  # what the spec's writer should know, a line each
 
     def function(self, name: str) -> ca.Function:
@@ -59,51 +63,76 @@ def build(spec: ControllerSpec) -> Controller:
         if spec.robot.points_of_interest and spec.obstacles.any
         else None
     )
-    built = ((task, task.build(tree, sensing)) for task in spec.tasks)
-    tasks = [one.limited(task.speed) if task.speed else one for task, one in built]
-    inputs, outputs = _step(spec, tree, q, sensing, tasks)
-    loop = sensing.loop if sensing else None
+    tasks = [_built(task, tree, sensing) for task in spec.tasks]
+    command = _velocity(spec, tree, tasks)
+    inputs, outputs = _step(spec, tree, q, sensing, tasks, command)
+    stages = [*(sensing.stages if sensing else ()), *command.stages]
     jacobians = _jacobians(tree, tasks)
     return Controller(
         spec,
         (
             _function(spec, "kinematics", "where everything is at q", inputs, _positions(tree, tasks)),
-            _function(spec, "jacobians", "how everything moves with q̇ at q", inputs, jacobians, loop),
-            _function(spec, "step", "one period of the loop (eqs. 4-19)", inputs, outputs, loop),
+            _function(spec, "jacobians", "how everything moves with q̇ at q", inputs, jacobians, stages),
+            _function(spec, "step", "one period of the loop (eqs. 4-19)", inputs, outputs, stages),
         ),
         tuple(tasks),
         _notes(spec, tree, tasks),
     )
 
 
-def _notes(spec: ControllerSpec, tree: KinematicTree, tasks: Sequence[Task]) -> tuple[str, ...]:
+def _built(spec: TaskSpec, tree: KinematicTree, sensing: Sensing | None) -> Level:
+    task = spec.build(tree, sensing)
+    return task.limited(spec.speed) if spec.speed and isinstance(task, Task) else task
+
+
+def _notes(spec: ControllerSpec, tree: KinematicTree, tasks: Sequence[Level]) -> tuple[str, ...]:
     if spec.law != "augmented":
         return ()
-    always = [task for table, task in zip(spec.tasks, tasks, strict=True) if table.equality]
+    always = _holding_always(spec, tasks)
     return stack_notes(always, tree.velocity_map()) if always else ()
 
 
+def _holding_always(spec: ControllerSpec, tasks: Sequence[Level]) -> list[Task]:
+    """The tasks that hold always, the highest first."""
+    return [task for table, task in zip(spec.tasks, tasks, strict=True) if table.equality and isinstance(task, Task)]
+
+
 def _step(
-    spec: ControllerSpec, tree: KinematicTree, q: Signal, sensing: Sensing | None, tasks: Sequence[Task]
+    spec: ControllerSpec,
+    tree: KinematicTree,
+    q: Signal,
+    sensing: Sensing | None,
+    tasks: Sequence[Level],
+    command: "_Command",
 ) -> tuple[list[Signal], list[Signal]]:
     """Law (eq. 11), limits, Euler step (eq. 13), filter (eq. 16), planner (eq. 17): all inputs, all outputs."""
     period = symbol("period", (), "s", "sampling time T", "parameter", (1e-6, 10.0), spec.period)
-    u, limit_inputs = _velocity(spec, tree, tasks)
-    dq_law = tree.velocity_map() @ u
+    S = tree.velocity_map()
+    dq_law = S @ command.u
     q_raw = q.expression + period.expression * dq_law  # eq. 13
-    q_filtered, filter_inputs = spec.filter.build(q_raw, q.expression, period.expression, spec.robot.input_of)
-    event = sensing.event if sensing else ca.SX(0)
-    q_next, lam, planner_inputs = spec.planner.build(q_filtered, q_raw, event)
-    dq = (q_next - q.expression) / period.expression
+    event, clearance = (sensing.event, sensing.clearance) if sensing else (ca.SX(0), None)
+    motion = Motion(
+        robot=spec.robot,
+        q=q.expression,
+        q_raw=q_raw,
+        period=period.expression,
+        velocity_map=S,
+        event=event,
+        clearance=clearance,
+    )
+    plan = spec.planner.build(motion, spec.filter)  # eqs. 16-19
+    dq = (plan.q_next - q.expression) / period.expression
 
     n, rate = q.info.shape, ", ".join(f"{joint.unit}/s" for joint in spec.robot.coordinates)
     outputs = [
-        result("q_next", q_next, n, q.info.unit, "joint position one period on (eq. 19)", "state", feeds="q"),
+        result("q_next", plan.q_next, n, q.info.unit, "joint position one period on (eq. 19)", "state", feeds="q"),
         result("dq", dq, n, rate, "joint velocity that leads there, (q_next − q)/T", "command"),
         *_drive(tree, dq),
         result("dq_law", dq_law, n, rate, "joint velocity of the law alone (eq. 11)"),
         *(signal for task in tasks for signal in task.diagnostics),
-        result("lam", lam, (), "1", "λ, the share of the filter (eq. 17)"),
+        *command.diagnostics,
+        result("lam", plan.lam, (), "1", "λ, the share of the filter (eq. 17)"),
+        *plan.outputs,
     ]
     inputs = [q, *(signal for task in tasks for signal in task.inputs)]
     if sensing:
@@ -114,18 +143,37 @@ def _step(
             result("distance", sensing.distance, points, "m", "d, each point to its closest obstacle"),
             result("clearance", sensing.clearance, (), "m", "least d − s; negative is intrusion"),
         ]
-    return [*inputs, *limit_inputs, *filter_inputs, *planner_inputs, period], outputs
+    return [*inputs, *command.parameters, *plan.inputs, period], outputs
 
 
-def _velocity(spec: ControllerSpec, tree: KinematicTree, tasks: Sequence[Task]) -> tuple[ca.SX, list[Signal]]:
-    """The law's input velocity u (n_u, 1), q̇ = S(q) u, within its limits; and the inputs the limits need."""
-    if spec.robot.drive:
-        tasks = [replace(task, jacobian=task.jacobian @ tree.velocity_map()) for task in tasks]
-    u = import_module(f"{laws.__name__}.{spec.law}").combine(tasks)
-    if spec.velocity_limits is None:
-        return u, []
-    u, limit = spec.velocity_limits.build(spec.robot, u)
-    return u, [limit]
+@dataclass(frozen=True, slots=True, eq=False)
+class _Command:
+    """The input velocity u (n_u, 1), q̇ = S(q) u, that tasks and limits make, and what they need and tell."""
+
+    u: ca.SX
+    parameters: tuple[Signal, ...] = ()
+    diagnostics: tuple[Signal, ...] = ()
+    stages: tuple[Stage, ...] = ()
+
+
+def _velocity(spec: ControllerSpec, tree: KinematicTree, tasks: Sequence[Level]) -> _Command:
+    """The law of the tasks, what contacts take away of it, the velocity limits, and the barrier, in this order."""
+    S = tree.velocity_map()
+    in_law = [replace(task, jacobian=task.jacobian @ S) for task in tasks if isinstance(task, Task)]
+    u = import_module(f"{laws.__name__}.{spec.law}").combine(in_law) if in_law else ca.SX.zeros(S.shape[1])
+    for task in reversed(tasks):
+        u = task.corrected(u, S) if isinstance(task, Correction) else u
+    parameters: tuple[Signal, ...] = ()
+    limit = None
+    if spec.velocity_limits is not None:
+        u, limit_signal = spec.velocity_limits.build(spec.robot, u)
+        parameters, limit = (limit_signal,), limit_signal.expression
+    guards = [task.moved_by(S) for task in tasks if isinstance(task, Guard)]
+    if not guards:
+        return _Command(u, parameters)
+    always = [replace(task, jacobian=task.jacobian @ S) for task in _holding_always(spec, tasks)]
+    barrier = Barrier.of(guards, always, u, limit)
+    return _Command(barrier.velocity, (*parameters, *barrier.parameters), barrier.diagnostics, (barrier.stage,))
 
 
 def _drive(tree: KinematicTree, dq: ca.SX) -> list[Signal]:
@@ -139,7 +187,7 @@ def _drive(tree: KinematicTree, dq: ca.SX) -> list[Signal]:
     return [result("base_velocity", ca.vertcat(forward, dq[yaw]), (2,), "m/s, rad/s", text, "command")]
 
 
-def _positions(tree: KinematicTree, tasks: Sequence[Task]) -> list[Signal]:
+def _positions(tree: KinematicTree, tasks: Sequence[Level]) -> list[Signal]:
     """Task values, points of interest, and the pose of every link as the rows [R | p] of world_T_link."""
     outputs = [signal for task in tasks for signal in task.values]
     points = tree.robot.points_of_interest
@@ -153,7 +201,7 @@ def _positions(tree: KinematicTree, tasks: Sequence[Task]) -> list[Signal]:
     return [*outputs, result("link_pose", rows, pose_shape, "1, m", "rows [R | p] of world_T_link, per link")]
 
 
-def _jacobians(tree: KinematicTree, tasks: Sequence[Task]) -> list[Signal]:
+def _jacobians(tree: KinematicTree, tasks: Sequence[Level]) -> list[Signal]:
     """∂(task)/∂q for every task, ∂r/∂q for every point of interest."""
     outputs = [signal for task in tasks for signal in task.jacobians]
     points = tree.robot.points_of_interest
@@ -171,28 +219,18 @@ def _function(
     description: str,
     inputs: Sequence[Signal],
     outputs: Sequence[Signal],
-    loop: Loop | None = None,
+    stages: Sequence[Stage] = (),
 ) -> ControllerFunction:
     """The function of the state and the inputs it depends on, common subexpressions shared; raises BadInput."""
     columns = [signal.column for signal in outputs]
-    together = ca.vertcat(*columns)
-    if loop and not ca.depends_on(together, ca.vertcat(ca.vec(loop.distance), ca.vec(loop.toward))):
-        loop = None
-    needed = ca.vertcat(together, *map(ca.vec, loop.shapes.arrays)) if loop else together
-    used = tuple(signal for signal in inputs if signal.info.role == "state" or ca.depends_on(needed, signal.column))
+    stages = used_stages(columns, stages)
+    needed = ca.vertcat(*columns, *(ca.vec(argument) for stage in stages for argument in stage.arguments))
+    used = tuple(signal for signal in inputs if signal.info.name == "q" or ca.depends_on(needed, signal.column))
     names = [signal.info.name for signal in (*used, *outputs)]
     for signal_name in names:
         if names.count(signal_name) > 1:
             raise BadInput(f"two signals are called '{signal_name}': give the task another name")
-    symbol_name, given = f"{spec.name}_{name}", [signal.column for signal in used]
     labels = [signal.info.name for signal in used], [signal.info.name for signal in outputs]
-    if loop is None:
-        function = ca.Function(symbol_name, given, ca.cse(columns), *labels)
-        return ControllerFunction(name, description, used, tuple(outputs), function, function.n_instructions())
-    before = ca.Function("before_sensing", given, ca.cse([loop.places, *loop.shapes.arrays]))
-    after = ca.Function("after_sensing", [*given, loop.distance, loop.toward], ca.cse(columns))
-    values = [ca.MX.sym(label, column.numel()) for label, column in zip(labels[0], given, strict=True)]
-    places, *shapes = before.call(values)
-    function = ca.Function(symbol_name, values, after.call([*values, *loop.run(places, shapes)]), *labels)
-    instructions = before.n_instructions() + places.shape[1] * loop.closest.n_instructions() + after.n_instructions()
+    given = [signal.column for signal in used]
+    function, instructions = composed(f"{spec.name}_{name}", given, columns, stages, labels)
     return ControllerFunction(name, description, used, tuple(outputs), function, instructions)

@@ -29,7 +29,7 @@ def nearest_on_segments(start_1: ca.SX, end_1: ca.SX, start_2: ca.SX, end_2: ca.
     (Ericson, Real-Time Collision Detection, 5.1.9). The products u × v keep s exact to rounding / sin(u, v), so
     the distance is exact to rounding at every angle. Of parallel segments, or ones that are points, each s will do.
     """
-    u, v, w = _in_space(end_1 - start_1), _in_space(end_2 - start_2), _in_space(start_2 - start_1)
+    u, v, w = in_space(end_1 - start_1), in_space(end_2 - start_2), in_space(start_2 - start_1)
     normal = ca.cross(u, v)
     share = ca.dot(ca.cross(w, v), normal) / ca.fmax(ca.sumsqr(normal), COINCIDENT**4)
     second = nearest_on_segment(start_2, end_2, start_1 + _clamped(share) * (end_1 - start_1))
@@ -40,6 +40,6 @@ def _clamped(share: ca.SX) -> ca.SX:
     return ca.fmin(ca.fmax(share, 0), 1)
 
 
-def _in_space(vector: ca.SX) -> ca.SX:
+def in_space(vector: ca.SX) -> ca.SX:
     """The vector (3, 1) with z = 0 for one of the plane."""
     return ca.vertcat(vector, ca.SX.zeros(3 - vector.numel()))

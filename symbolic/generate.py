@@ -22,6 +22,7 @@ from clikgen.runtime.manifest import (
 )
 from clikgen.symbolic import c_code
 from clikgen.symbolic.controller import Controller, ControllerFunction, build
+from clikgen.symbolic.one_sided import OneSidedSpec
 from clikgen.symbolic.robot import Robot
 from clikgen.symbolic.spec import ControllerSpec, read_spec_file
 from clikgen.symbolic.task import TaskSpec
@@ -125,6 +126,7 @@ def _manifest(controller: Controller, functions: Iterable[FunctionInfo], sources
                 name=task.name,
                 kind=task.kind,
                 equality=task.equality,
+                activation=task.activation.kind if isinstance(task, OneSidedSpec) else None,
                 dimension=task.dimension(robot),
                 tracks=bool(task.tracked_axes(robot)),
                 axes=task.tracked_axes(robot),
@@ -146,6 +148,7 @@ def _manifest(controller: Controller, functions: Iterable[FunctionInfo], sources
         law=spec.law,
         velocity_limits=spec.velocity_limits.kind if spec.velocity_limits else None,
         filter=spec.filter.kind,
+        planner=spec.planner.kind,
         functions=tuple(functions),
     )
 

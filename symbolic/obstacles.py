@@ -1,6 +1,6 @@
 """Obstacles, balls, capsules and half-spaces that may move, and what every point of interest senses of them."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, fields
 from typing import Annotated, Self
 
@@ -10,11 +10,13 @@ from pydantic import Field
 from clikgen.runtime.documents import Document
 from clikgen.runtime.manifest import FAR
 from clikgen.symbolic.contact import Contact
-from clikgen.symbolic.distances import COINCIDENT, nearest_on_segment
+from clikgen.symbolic.distances import direction, nearest_on_segment
 from clikgen.symbolic.signals import Signal, symbol
+from clikgen.symbolic.stage import Stage
 from clikgen.symbolic.tree import KinematicTree, Push
 
 UNROLLED = 64  # pairs of points and obstacles; more of them are looped over, as the code would outgrow the cache
+WATCHED = 5  # obstacles that a barrier keeps off a point at once; of more, the nearest ones
 Capacity = Annotated[int, Field(strict=True, ge=0, le=100)]
 
 
@@ -48,6 +50,14 @@ class Obstacles:
                 _points("obstacle_center", capacity.maximum, dimension, "obstacle centres o"),
                 _radii("obstacle_radius", capacity.maximum, "obstacle radii; 0 is a point"),
                 _count("obstacle_count", capacity.maximum),
+                symbol(
+                    "obstacle_velocity",
+                    (capacity.maximum, dimension),
+                    "m/s",
+                    "ȯ, how fast the centres move",
+                    "signal",
+                    (-1e3, 1e3),
+                ),
             ]
         if capacity.capsules:
             inputs += [
@@ -82,6 +92,7 @@ class Obstacles:
         nothing, none = ca.SX(0, self.dimension), ca.SX(0, 1)
         return Shapes(
             at.get("obstacle_center", nothing),
+            at.get("obstacle_velocity", nothing),
             _where_there(at["obstacle_radius"], at["obstacle_count"], -FAR) if "obstacle_radius" in at else none,
             at.get("capsule_start", nothing),
             at.get("capsule_end", nothing),
@@ -103,6 +114,7 @@ class Shapes:
     """Balls, capsules and half-spaces in space: a row each, radii and offsets far negative where there is none."""
 
     center: ca.SX  # (balls, dimension) [m]
+    velocity: ca.SX  # (balls, dimension) [m/s]
     radius: ca.SX  # (balls, 1) [m]
     start: ca.SX  # (capsules, dimension) [m]
     end: ca.SX  # (capsules, dimension) [m]
@@ -127,52 +139,88 @@ class Shapes:
         """
         first_axis = ca.SX.eye(point.numel())[:, 0]
         distance, toward = ca.SX(FAR), first_axis
-        for distance_k, toward_k in self._each(point):
+        for distance_k, toward_k, _ in self._each(point):
             closer = distance_k < distance
             distance = ca.if_else(closer, distance_k, distance)
             toward = ca.if_else(closer, toward_k, toward)
-        norm = ca.sqrt(ca.sumsqr(toward))
-        return distance, ca.if_else(norm > COINCIDENT, toward / norm, first_axis)
+        return distance, direction(toward)[0]
 
-    def _each(self, point: ca.SX) -> Iterator[tuple[ca.SX, ca.SX]]:
-        """Of every obstacle its distance [m] and a vector toward it."""
+    def each(self, point: ca.SX) -> Iterator[tuple[ca.SX, ca.SX, ca.SX]]:
+        """D, u and uᵀȯ, how fast it moves away [m/s], for every obstacle to `point` (dimension, 1)."""
+        for distance, toward, velocity in self._each(point):
+            u, _ = direction(toward)
+            yield distance, u, ca.dot(u, velocity)
+
+    def nearest(self, point: ca.SX, count: int) -> tuple[ca.SX, ca.SX, ca.SX]:
+        """D (count, 1), u (dimension, count) and uᵀȯ (count, 1) of the `count` nearest obstacles, the nearest first."""
+        found = list(self.each(point))
+        distances, numbers = [ca.SX(2 * FAR)] * count, [ca.SX(-1)] * count
+        for number, (distance, _, _) in enumerate(found):
+            carried, carried_number = distance, ca.SX(number)
+            for j in range(count):  # insertion: what is nearer takes the place, the other one is carried on
+                nearer = carried < distances[j]
+                distances[j], carried = ca.fmin(distances[j], carried), ca.fmax(distances[j], carried)
+                numbers[j], carried_number = (
+                    ca.if_else(nearer, carried_number, numbers[j]),
+                    ca.if_else(nearer, numbers[j], carried_number),
+                )
+        towards, openings = [], []
+        for number_j in numbers:
+            toward, opening = ca.SX.zeros(point.numel()), ca.SX(0)
+            for number, (_, u, rate) in enumerate(found):
+                toward += ca.if_else(number_j == number, u, 0)
+                opening += ca.if_else(number_j == number, rate, 0)
+            towards.append(toward)
+            openings.append(opening)
+        return ca.vertcat(*distances), ca.horzcat(*towards), ca.vertcat(*openings)
+
+    def _each(self, point: ca.SX) -> Iterator[tuple[ca.SX, ca.SX, ca.SX]]:
+        """Of every obstacle its distance [m], a vector toward it, and its velocity [m/s]."""
+        rest = ca.SX.zeros(point.numel())
         for k in range(self.radius.numel()):
             toward = self.center[k, :].T - point
-            yield ca.sqrt(ca.sumsqr(toward)) - self.radius[k], toward
+            yield ca.sqrt(ca.sumsqr(toward)) - self.radius[k], toward, self.velocity[k, :].T
         for k in range(self.thickness.numel()):
             toward = nearest_on_segment(self.start[k, :].T, self.end[k, :].T, point) - point
-            yield ca.sqrt(ca.sumsqr(toward)) - self.thickness[k], toward
+            yield ca.sqrt(ca.sumsqr(toward)) - self.thickness[k], toward, rest
         for k in range(self.offset.numel()):
             normal = self.normal[k, :].T
-            yield ca.dot(normal, point) - self.offset[k], -normal
+            yield ca.dot(normal, point) - self.offset[k], -normal, rest
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Loop:
-    """The search for the closest obstacle as one small function called for each point, not unrolled for all.
+def looped(shapes: Shapes, places: ca.SX) -> Stage:
+    """The closest obstacle to each of the `places` (dimension, points) by one small function called for each point.
 
-    The contacts are then expressions of `distance` and `toward`, which that function fills in.
+    The contacts are then expressions of its symbols: d (1, points) and u (dimension, points).
+    """
+    return _for_each_place("closest", lambda others, place: list(others.closest(place)), shapes, places)
+
+
+def watched(shapes: Shapes, places: ca.SX) -> Stage:
+    """The WATCHED nearest obstacles to each of the `places` (dimension, points), by a function called for each point.
+
+    Its symbols are d (WATCHED, points), the u one below the other (WATCHED · dimension, points), uᵀȯ (WATCHED, points).
     """
 
-    places: ca.SX  # (dimension, points) [m], of q
-    shapes: Shapes
-    closest: ca.Function  # a place and the shapes -> d and u
-    distance: ca.SX  # (1, points) symbols
-    toward: ca.SX  # (dimension, points) symbols
+    def nearest(others: Shapes, place: ca.SX) -> list[ca.SX]:
+        distance, toward, opening = others.nearest(place, WATCHED)
+        return [distance, ca.vec(toward), opening]
 
-    @classmethod
-    def over(cls, shapes: Shapes, places: ca.SX) -> Self:
-        """The loop over all `places` (dimension, points)."""
-        dimension, points = places.shape
-        place, others = ca.SX.sym("place", dimension), shapes.symbols()
-        closest = ca.Function("closest", [place, *others.arrays], ca.cse(list(others.closest(place))))
-        symbols = ca.SX.sym("distance", 1, points), ca.SX.sym("toward", dimension, points)
-        return cls(places, shapes, closest, *symbols)
+    return _for_each_place("nearest", nearest, shapes, places)
 
-    def run(self, places: ca.MX, shapes: Sequence[ca.MX]) -> list[ca.MX]:
-        """D (1, points) and u (dimension, points) for the values of places and shapes."""
-        shared = list(range(1, 1 + len(shapes)))  # the same for every point
-        return list(self.closest.map("sensing", "serial", places.shape[1], shared, [])(places, *shapes))
+
+def _for_each_place(name: str, what: Callable[[Shapes, ca.SX], list[ca.SX]], shapes: Shapes, places: ca.SX) -> Stage:
+    """A function of shapes and place, called in a loop over the `places` (dimension, points)."""
+    dimension, points = places.shape
+    place, others = ca.SX.sym("place", dimension), shapes.symbols()
+    function = ca.Function(name, [place, *others.arrays], ca.cse(what(others, place)))
+    shared = list(range(1, 1 + len(shapes.arrays)))  # the same for every point
+    return Stage(
+        symbols=tuple(ca.SX.sym(name, function.size1_out(i), points) for i in range(function.n_out())),
+        arguments=(places, *shapes.arrays),
+        run=lambda values: list(function.map(f"{name}_to_each", "serial", points, shared, [])(*values)),
+        instructions=points * function.n_instructions(),
+    )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -181,9 +229,13 @@ class Sensing:
 
     obstacles: Obstacles
     influence_radius: Signal  # (points,)
+    places: ca.SX  # (dimension, points) [m]
+    jacobians: tuple[ca.SX, ...]  # J_r of each point (dimension, n)
+    shapes: Shapes
     contacts: tuple[Contact, ...]
     pushes: tuple[Push, ...]  # of each point, the unit vector toward its obstacle
-    loop: Loop | None
+    loop: Stage | None  # where there are many pairs, the search for the closest obstacle
+    watch: Stage | None  # where there are many obstacles, the search for those that a barrier watches
 
     @classmethod
     def of(cls, tree: KinematicTree, obstacles: Obstacles) -> Self:
@@ -200,15 +252,39 @@ class Sensing:
         )
         places = ca.horzcat(*(tree.position(point.link, point.offset) for point in points))
         shapes = obstacles.shapes
-        loop = Loop.over(shapes, places) if len(points) * obstacles.places > UNROLLED else None
+        loop = looped(shapes, places) if len(points) * obstacles.places > UNROLLED else None
+        jacobians = tuple(tree.position_jacobian(point.link, point.offset) for point in points)
         contacts, pushes = [], []
         for i, point in enumerate(points):
             place = places[:, i]
-            distance, toward = (loop.distance[i], loop.toward[:, i]) if loop else shapes.closest(place)
-            approach = toward.T @ tree.position_jacobian(point.link, point.offset)
-            contacts.append(Contact.of(distance, radius.expression[i], approach))
+            distance, toward = (loop.symbols[0][i], loop.symbols[1][:, i]) if loop else shapes.closest(place)
+            contacts.append(Contact(distance, radius.expression[i], toward.T @ jacobians[i]))
             pushes.append(Push(point.link, place, toward))
-        return cls(obstacles, radius, tuple(contacts), tuple(pushes), loop)
+        watch = watched(shapes, places) if obstacles.places > WATCHED else None
+        return cls(obstacles, radius, places, jacobians, shapes, tuple(contacts), tuple(pushes), loop, watch)
+
+    @property
+    def stages(self) -> tuple[Stage, ...]:
+        """The searches that are loops."""
+        return tuple(stage for stage in (self.loop, self.watch) if stage)
+
+    def pairs(self) -> list[Contact]:
+        """The contact of every point of interest with every obstacle, or with the WATCHED nearest ones of more."""
+        return [
+            Contact(distance, self.influence_radius.expression[i], toward.T @ J, opening)
+            for i, J in enumerate(self.jacobians)
+            for distance, toward, opening in self._near(i)
+        ]
+
+    def _near(self, i: int) -> Iterator[tuple[ca.SX, ca.SX, ca.SX]]:
+        """D, u and uᵀȯ of the obstacles that a barrier keeps off point i."""
+        if self.watch is None:
+            yield from self.shapes.each(self.places[:, i])
+            return
+        distance, towards, opening = (symbols[:, i] for symbols in self.watch.symbols)
+        dimension = self.obstacles.dimension
+        for k in range(WATCHED):
+            yield distance[k], towards[k * dimension : (k + 1) * dimension], opening[k]
 
     @property
     def inputs(self) -> tuple[Signal, ...]:

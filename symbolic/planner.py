@@ -1,28 +1,66 @@
-"""The planner: how much of the filter is used, and when (eqs. 17-19)."""
+"""How much of the filter is used, and when (eqs. 16-19); the kinds of planner are the files in `planners/`."""
 
-from typing import Annotated
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Annotated
 
 import casadi as ca
 from pydantic import Field
 
 from clikgen.runtime.documents import Document
+from clikgen.symbolic.robot import Robot
 from clikgen.symbolic.signals import Signal, symbol
+
+if TYPE_CHECKING:
+    from clikgen.symbolic.filters.first_order import Spec as AnyFilter
 
 Share = Annotated[float, Field(strict=True, ge=0, le=1)]
 
 
-class Planner(Document):
-    """λ while no influence region meets an obstacle (`lam_free`) and while one does (`lam_event`).
+@dataclass(frozen=True, slots=True, eq=False)
+class Motion:
+    """A period of the loop as the law leaves it to filter and planner."""
+
+    robot: Robot
+    q: ca.SX  # (n, 1) where it begins
+    q_raw: ca.SX  # (n, 1) where the law leads, eq. 13
+    period: ca.SX  # T [s]
+    velocity_map: ca.SX  # S(q), q̇ = S u
+    event: ca.SX  # 1 while some influence region meets an obstacle, else 0
+    clearance: ca.SX | None  # the least d − s [m]; None where there is nothing to meet
+
+    def filtered(self, chosen: "AnyFilter", q_previous: ca.SX) -> tuple[ca.SX, tuple[Signal, ...]]:
+        """q_filtered of eq. 16 with `q_previous` as q_{i−1}, both (n, 1), and the inputs the filter needs."""
+        return chosen.build(self.q_raw, q_previous, self.period, self.robot.input_of)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Plan:
+    """Where the robot goes, by which λ, and the signals that takes."""
+
+    q_next: ca.SX  # (n, 1), eq. 17
+    lam: ca.SX  # λ
+    inputs: tuple[Signal, ...]
+    outputs: tuple[Signal, ...] = ()
+
+
+class PlannerSpec(Document, ABC):
+    """λ away from all obstacles (`lam_free`) and while some influence region meets one (`lam_event`).
 
     (0, 0) is the paper's Case 1 (no filter), (1, 1) Case 2 (filter always), (0, 1) Case 3 (eq. 18).
     """
 
+    kind: str
     lam_free: Share = 0.0
     lam_event: Share = 1.0
 
-    def build(self, q_filtered: ca.SX, q_raw: ca.SX, event: ca.SX) -> tuple[ca.SX, ca.SX, tuple[Signal, ...]]:
-        """q_i = A_λ q_filtered,i + (I − A_λ) q_i, eq. 17, shape (n, 1); then λ; then the inputs they need."""
-        free = symbol("lam_free", (), "1", "λ while no region meets an obstacle", "parameter", (0, 1), self.lam_free)
-        at_event = symbol("lam_event", (), "1", "λ while one does (eq. 18)", "parameter", (0, 1), self.lam_event)
-        lam = ca.if_else(event, at_event.expression, free.expression)
-        return lam * q_filtered + (1 - lam) * q_raw, lam, (free, at_event)
+    @abstractmethod
+    def build(self, motion: Motion, chosen: "AnyFilter") -> Plan:
+        """q_i = A_λ q_filtered,i + (I − A_λ) q_i, eq. 17."""
+
+    def shares(self) -> tuple[Signal, Signal]:
+        """The parameters `lam_free` and `lam_event`."""
+        return (
+            symbol("lam_free", (), "1", "λ while no region meets an obstacle", "parameter", (0, 1), self.lam_free),
+            symbol("lam_event", (), "1", "λ while one does (eq. 18)", "parameter", (0, 1), self.lam_event),
+        )

@@ -1,13 +1,12 @@
 """Tasks that keep contacts from closing, by the potential of their depths (eqs. 8-10): in one row, or a row each."""
 
-from collections.abc import Sequence
 from typing import Literal
 
 import casadi as ca
 
-from clikgen.symbolic.contact import Contact
+from clikgen.symbolic.activation import Boundary
 from clikgen.symbolic.damping import LIMITS, FadingDamping
-from clikgen.symbolic.signals import Signal, result, symbol
+from clikgen.symbolic.signals import result, symbol
 from clikgen.symbolic.task import Task, jacobian_result
 
 Combine = Literal["sum", "rows"]
@@ -15,34 +14,25 @@ Combine = Literal["sum", "rows"]
 vanishes, and the law asks for any velocity. rows: a row for each contact, so that all of them are held at once."""
 
 
-def potential_task(
-    name: str,
-    contacts: Sequence[Contact],
-    gain: float,
-    damping: float,
-    combine: Combine,
-    inputs: Sequence[Signal] = (),
-    diagnostics: Sequence[Signal] = (),
-    gradient: ca.SX | None = None,
-) -> Task:
+def potential_task(boundary: Boundary, gain: float, damping: float, combine: Combine) -> Task:
     """V = Σ ½ x² (eq. 8) to be 0 with J = ∂V/∂q = Σ x (−∂d/∂q) (eq. 9); as rows, V and J of each contact.
 
     J goes to zero with the depth, so below a depth of damping / |∂d/∂q| the task fades instead of switching.
-    `gradient` is the sum's J (1, n) where the caller has a cheaper way to it than the sum over the contacts.
     """
+    name, contacts, unit = boundary.name, boundary.contacts, boundary.squared_unit
     potentials = ca.vertcat(*(contact.depth**2 / 2 for contact in contacts))
     shape: tuple[int, ...] = ()
     if combine == "sum":
         potential = ca.sum1(potentials)
-        J = sum((c.depth * c.approach for c in contacts), ca.SX(1, contacts[0].approach.numel()))
-        J = J if gradient is None else gradient
+        J = boundary.gradient
+        J = sum((c.depth * c.approach for c in contacts), ca.SX(1, contacts[0].approach.numel())) if J is None else J
         texts = "V, sum of eq. 8", "J_o = ∂V/∂q, sum of eq. 9"
     else:
         potential, shape = potentials, (len(contacts),)
         J = ca.vertcat(*(contact.depth * contact.approach for contact in contacts))
         texts = "V, eq. 8 of each contact", "J_o = ∂V/∂q, eq. 9 of each contact"
     K = symbol(f"{name}_gain", (), "1/s", "K_o (eq. 10)", "parameter", (0.0, 1e6), gain)
-    constant = symbol(f"{name}_damping", (), "m^2", "damping of J⁺", "parameter", LIMITS, damping)
+    constant = symbol(f"{name}_damping", (), unit, "damping of J⁺", "parameter", LIMITS, damping)
     return Task(
         name=name,
         jacobian=J,
@@ -50,8 +40,7 @@ def potential_task(
         feedforward=ca.SX.zeros(J.shape[0]),
         gain=K.expression,
         damping=FadingDamping(constant.expression),
-        parameters=(K, constant, *inputs),
-        diagnostics=(result(f"{name}_potential", potential, shape, "m^2", texts[0]), *diagnostics),
-        values=(),
-        jacobians=(jacobian_result(name, J, "m^2", texts[1]),),
+        parameters=(K, constant, *boundary.inputs),
+        diagnostics=(result(f"{name}_potential", potential, shape, unit, texts[0]), *boundary.diagnostics),
+        jacobians=(jacobian_result(name, J, unit, texts[1]),),
     )

@@ -4,13 +4,12 @@ Everything is three-dimensional; `space = "planar"` says that the motion stays i
 positions and obstacles have two coordinates.
 """
 
-import math
 from dataclasses import dataclass
 from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
-from clikgen.runtime.documents import BadInput, Document, NonNegative, Number, Positive, choices
+from clikgen.runtime.documents import BadInput, Document, NonNegative, Number, Positive, UnitVector, choices
 
 Vector = tuple[Number, Number, Number]
 Name = Annotated[str, Field(min_length=1, max_length=100, pattern=r"^[^\x00-\x1f\x7f]+$")]
@@ -38,7 +37,7 @@ class Joint(Document):
     parent: Name | None = Field(default=None, description="the link before; default: the joint before's")
     xyz: Vector = (0.0, 0.0, 0.0)
     rpy: Vector = (0.0, 0.0, 0.0)
-    axis: Vector = (0.0, 0.0, 1.0)
+    axis: UnitVector[Vector] = (0.0, 0.0, 1.0)
     lower: Number | None = None
     upper: Number | None = None
     velocity: NonNegative | None = None
@@ -46,13 +45,11 @@ class Joint(Document):
     outline: tuple[Vector, ...] = Field(default=(), description="polygon [m] in the link's frame, for drawing")
 
     @model_validator(mode="after")
-    def _limits_and_axis(self) -> Self:
+    def _limits_fit_the_type(self) -> Self:
         if self.type == "fixed":
             if self.mimic:
                 raise ValueError(f"joint '{self.name}' is fixed and cannot mimic another")
             return self
-        if not math.isclose(math.hypot(*self.axis), 1.0, abs_tol=1e-9):
-            raise ValueError(f"wanted axis to be a unit vector, got {list(self.axis)}")
         if self.type == "continuous":
             if (self.lower, self.upper) != (None, None):
                 raise ValueError(f"joint '{self.name}' is continuous and has no limits; with limits it is revolute")

@@ -1,52 +1,34 @@
 """The controller spec: one TOML file that says what robot, which tasks in which order, which law."""
 
+import json
 import pkgutil
-from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import reduce
-from importlib import import_module, resources
-from operator import or_
+from importlib import resources
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Self, get_args
+from typing import TYPE_CHECKING, Annotated, Any, Self
 
 from pydantic import BeforeValidator, Field, create_model, model_validator
 
 from clikgen.runtime.documents import BadInput, Document, Identifier, choices, read_toml
 from clikgen.runtime.manifest import sha256
-from clikgen.symbolic import filters, laws, velocity_limits
+from clikgen.symbolic import filters, laws, planners, tasks, velocity_limits
+from clikgen.symbolic.kinds import one_of
 from clikgen.symbolic.models.table import RobotModel, RobotTable
 from clikgen.symbolic.obstacles import ObstacleCapacity
-from clikgen.symbolic.planner import Planner
+from clikgen.symbolic.planner import PlannerSpec
+from clikgen.symbolic.planners import event
 from clikgen.symbolic.robot import Robot
-from clikgen.symbolic.task import TaskSpec, selected_joints, task_kinds
+from clikgen.symbolic.task import TaskSpec, selected_joints
 
 if TYPE_CHECKING:
     from clikgen.symbolic.filters.first_order import Spec as AnyFilter
     from clikgen.symbolic.velocity_limit import VelocityLimitSpec as AnyVelocityLimit
 
     AnyTask = TaskSpec
-else:  # the kinds are the files of a folder, so pydantic learns them when it starts
-
-    def _one_of(kinds):
-        kinds = tuple(kinds)
-        names = [get_args(kind.model_fields["kind"].annotation)[0] for kind in kinds]
-
-        def known(table):
-            if isinstance(table, Mapping) and table.get("kind") not in names:
-                got = f"no kind '{table['kind']}'" if "kind" in table else "no key 'kind'"
-                raise ValueError(f"{got}; {choices(str(table.get('kind', '')), names)}")
-            return table
-
-        union = kinds[0] if len(kinds) == 1 else Annotated[reduce(or_, kinds), Field(discriminator="kind")]
-        return Annotated[union, BeforeValidator(known)]
-
-    def _specs_in(package):
-        names = (module.name for module in pkgutil.iter_modules(package.__path__))
-        return (import_module(f"{package.__name__}.{name}").Spec for name in names)
-
-    AnyTask = _one_of(task_kinds().values())
-    AnyFilter = _one_of(_specs_in(filters))
-    AnyVelocityLimit = _one_of(_specs_in(velocity_limits))
+    AnyPlanner = PlannerSpec
+else:
+    AnyTask, AnyFilter, AnyVelocityLimit = one_of(tasks), one_of(filters), one_of(velocity_limits)
+    AnyPlanner = Annotated[one_of(planners), BeforeValidator(event.by_default)]
 
 
 class ControllerSpec(Document):
@@ -65,7 +47,7 @@ class ControllerSpec(Document):
     tasks: Annotated[tuple[AnyTask, ...], Field(min_length=1)]
     velocity_limits: AnyVelocityLimit | None = None
     filter: AnyFilter
-    planner: Planner = Planner()
+    planner: AnyPlanner = event.Spec()
 
     @model_validator(mode="after")
     def _law_exists(self) -> Self:
@@ -85,7 +67,7 @@ class ControllerSpec(Document):
 
     def sha256(self) -> str:
         """What identifies the spec: its content, whatever the file's comments and layout."""
-        return sha256(self.model_dump_json().encode())
+        return sha256(json.dumps(self.model_dump(mode="json"), sort_keys=True).encode())
 
 
 class _RobotOfSpec(Document):

@@ -378,8 +378,10 @@ def _limits(robot: Robot) -> str:
 name = "limits"
 kind = "joint_limits"
 margin = {margin}         # [m, rad]
-gain = 50.0             # [1/s]
-damping = {min(1e-3, 0.02 * min(margins)):.1g}
+
+[tasks.activation]      # how the task begins and ends to act
+kind = "barrier"        # the default: a joint nears its margin ever slower, never faster than γ times the way left
+rate = 10.0             # γ [1/s]
 
 """
 

@@ -1,16 +1,15 @@
-"""A task, as the laws see it, what its files have in common, and how the kinds of task are found."""
+"""A task, as the laws see it, and what its files have in common."""
 
-import pkgutil
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from importlib import import_module
+from typing import Annotated
 
 import casadi as ca
+from pydantic import Field
 
 from clikgen.runtime.documents import BadInput, Document, Identifier, Number, Positive
 from clikgen.runtime.manifest import Space
-from clikgen.symbolic import tasks as task_modules
 from clikgen.symbolic.damping import Damping, SelectiveDamping
 from clikgen.symbolic.obstacles import Sensing
 from clikgen.symbolic.robot import Robot
@@ -18,6 +17,7 @@ from clikgen.symbolic.signals import Signal, result, symbol
 from clikgen.symbolic.tree import KinematicTree
 
 GainSpec = Number | tuple[Number, ...] | tuple[tuple[Number, ...], ...]
+Yield = Annotated[float, Field(strict=True, ge=1e-4, le=1)]
 NEAR_SINGULARITY = SelectiveDamping(maximum=0.05, near=0.05)  # what a task is damped with unless its table says
 
 
@@ -36,43 +36,48 @@ class Reference:
     velocity: Signal
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Task:
-    """ẋ = J q̇ is wanted to be feedforward + gain·error; J = 0 where the task is not active."""
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Level:
+    """What every task is to the controller: its name and its signals."""
 
     name: str
+    parameters: tuple[Signal, ...]
+    diagnostics: tuple[Signal, ...]
+    values: tuple[Signal, ...] = ()  # what depends on q (and targets) alone, for _kinematics
+    jacobians: tuple[Signal, ...] = ()  # for _jacobians
+    references: tuple[Reference, ...] = ()
+
+    @property
+    def inputs(self) -> tuple[Signal, ...]:
+        """The signals the task has to be given: references, then parameters."""
+        return (*(signal for one in self.references for signal in (one.value, one.velocity)), *self.parameters)
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Task(Level):
+    """ẋ = J q̇ is wanted to be feedforward + gain·error; J = 0 where the task is not active."""
+
     jacobian: ca.SX  # (m, n)
     error: ca.SX  # (m, 1)
     feedforward: ca.SX  # (m, 1)
     gain: ca.SX  # (m, m) [1/s], or a scalar
     damping: Damping
-    parameters: tuple[Signal, ...]
-    diagnostics: tuple[Signal, ...]
-    values: tuple[Signal, ...]  # what depends on q (and targets) alone, for _kinematics
-    jacobians: tuple[Signal, ...]  # for _jacobians
-    references: tuple[Reference, ...] = ()
-    speed: Signal | None = None
+    speed: ca.SX | None = None
+    yields: float | None = None  # ε of `symbolic/barrier.py`; None leaves it to the barrier
 
     @property
     def velocity(self) -> ca.SX:
         """The task velocity that closes the loop, ẋ_d + K e with |K e| brought down to `speed`, shape (m, 1)."""
         feedback = self.gain @ self.error
         if self.speed is not None:
-            limit = self.speed.expression
-            feedback = feedback * (limit / ca.sqrt(ca.fmax(ca.sumsqr(feedback), limit**2)))
+            feedback = feedback * (self.speed / ca.sqrt(ca.fmax(ca.sumsqr(feedback), self.speed**2)))
         return self.feedforward + feedback
-
-    @property
-    def inputs(self) -> tuple[Signal, ...]:
-        """The signals the task has to be given: references, then parameters."""
-        speed = () if self.speed is None else (self.speed,)
-        return (*(signal for one in self.references for signal in (one.value, one.velocity)), *self.parameters, *speed)
 
     def limited(self, speed: float) -> "Task":
         """The task with its feedback limited: the parameter `<task>_speed` is the largest |K e|."""
         text = "largest norm of the feedback K e"
         limit = symbol(f"{self.name}_speed", (), "1/s of the error", text, "parameter", (1e-6, 1e6), speed)
-        return replace(self, speed=limit)
+        return replace(self, parameters=(*self.parameters, limit), speed=limit.expression)
 
 
 class TaskSpec(Document, ABC):
@@ -102,18 +107,11 @@ class TaskSpec(Document, ABC):
         """m, how many rows the task has."""
 
     @abstractmethod
-    def build(self, tree: KinematicTree, sensing: Sensing | None) -> Task:
+    def build(self, tree: KinematicTree, sensing: Sensing | None) -> Level:
         """The task's expressions; `sensing` is None for a controller without obstacles.
 
         Raises BadInput when the robot lacks what the task needs.
         """
-
-
-def task_kinds() -> dict[str, type[TaskSpec]]:
-    """Every kind of task by its name, from the files in `tasks/`."""
-    names = sorted(module.name for module in pkgutil.iter_modules(task_modules.__path__))
-    modules = (import_module(f"{task_modules.__name__}.{name}") for name in names)
-    return {name: module.Spec for name, module in zip(names, modules, strict=True)}
 
 
 def vector_reference(

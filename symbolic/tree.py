@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clikgen.runtime.documents import BadInput
+from clikgen.symbolic.distances import in_space
 from clikgen.symbolic.robot import Frame, Joint, Robot, Vector
 from clikgen.symbolic.rotations import cross_matrix
 
@@ -100,9 +101,8 @@ class KinematicTree:
 
     def jacobian_at(self, point: ca.SX, carriers: Sequence[Axis]) -> ca.SX:
         """∂(point)/∂q, shape (2 or 3, n), of a `point` of the world (2 or 3, 1) [m] that the `carriers` move."""
-        in_space = ca.vertcat(point, ca.SX.zeros(3 - point.numel()))
         columns = [
-            (axis, axis.direction if axis.prismatic else ca.cross(axis.direction, in_space - axis.origin))
+            (axis, axis.direction if axis.prismatic else ca.cross(axis.direction, in_space(point) - axis.origin))
             for axis in carriers
         ]
         return self._jacobian(columns)[: self.robot.dimension, :]
@@ -133,7 +133,7 @@ class KinematicTree:
         force = {link: ca.SX.zeros(3) for link in self.robot.links}
         moment = {link: ca.SX.zeros(3) for link in self.robot.links}
         for push in pushes:
-            f, p = _in_space(push.force), _in_space(push.point)
+            f, p = in_space(push.force), in_space(push.point)
             force[push.link] += f
             moment[push.link] += ca.cross(p, f)
         row = ca.SX.zeros(1, self.q.numel())
@@ -173,11 +173,6 @@ def numeric_poses(robot: Robot, q: Sequence[float]) -> dict[str, Array]:
     """[R | p] of world_T_link (3, 4) of every link at joint positions q (n,) [m, rad]."""
     tree = KinematicTree.at(robot, ca.SX(ca.DM(list(q))))
     return {link: np.array(ca.DM(ca.horzcat(pose.rotation, pose.position))) for link, pose in tree.poses.items()}
-
-
-def _in_space(vector: ca.SX) -> ca.SX:
-    """A vector of the plane as one of space."""
-    return ca.vertcat(vector, ca.SX.zeros(3 - vector.numel()))
 
 
 def _axis(robot: Robot, joint: Joint, pose: Pose) -> Axis:

@@ -9,12 +9,14 @@ import numpy as np
 import pytest
 from hypothesis import settings
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from clikgen.runtime.controller import CompiledController
 from clikgen.runtime.manifest import FunctionInfo, Manifest, SignalInfo, load_manifest
 from clikgen.runtime.scenario import CASES, find_scenario, read_scenario
 from clikgen.runtime.simulation import Run, prepare
 from clikgen.symbolic.controller import Controller, build
+from clikgen.symbolic.generate import generate
 from clikgen.symbolic.spec import ControllerSpec, read_spec, shipped_specs
 
 Array = NDArray[np.float64]
@@ -325,3 +327,87 @@ def paper_run(planar5: CompiledController) -> Callable[[int], Run]:
     """The paper's scenario on the compiled planar5, by the number of the case."""
     scenario = read_scenario(find_scenario("paper"))
     return lambda number: prepare(planar5, scenario, CASES[number])
+
+
+# ---- A small arm in space ----
+
+
+def _small_arm(base: bool) -> ControllerSpec:
+    turning = {"type": "revolute", "lower": -3.0, "upper": 3.0, "velocity": 3.0}
+    sliding = {"type": "prismatic", "lower": -5.0, "upper": 5.0, "velocity": 1.0}
+    feet = [
+        {"name": "along", "link": "sledge", "axis": [1, 0, 0]},
+        {"name": "aside", "link": "base", "axis": [0, 1, 0]},
+    ]
+    joints = [
+        {"name": "turn", "link": "column", "axis": [0, 0, 1]},
+        {"name": "lift", "link": "upper", "axis": [0, 1, 0], "xyz": [0, 0, 0.4]},
+        {"name": "bend", "link": "lower", "axis": [0, 1, 0], "xyz": [0.5, 0, 0]},
+    ]
+    return ControllerSpec.parse(
+        {
+            "name": "small_arm",
+            "description": "an arm of three joints in space",
+            "period": 0.01,
+            "robot": {
+                "joints": [sliding | joint for joint in feet if base] + [turning | joint for joint in joints],
+                "frames": [{"name": "tip", "link": "lower", "xyz": [0.3, 0, 0]}],
+                "points_of_interest": [
+                    {"name": "elbow", "link": "lower", "influence_radius": 0.15},
+                    {"name": "end", "link": "lower", "offset": [0.3, 0, 0], "influence_radius": 0.1},
+                ],
+                "bodies": [
+                    {"name": "forearm", "link": "lower", "end": [0.3, 0, 0], "radius": 0.05},
+                    {"name": "shoulder", "link": "column", "start": [0, 0, 0.4], "radius": 0.08},
+                ],
+            },
+            "obstacles": {"maximum": 2, "capsules": 1, "half_spaces": 1},
+            "tasks": [
+                {
+                    "name": "keep_off",
+                    "kind": "obstacle_avoidance",
+                    "activation": {"kind": "switched", "gain": 20.0, "damping": 1e-3},
+                },
+                {"name": "tip", "kind": "frame_position", "frame": "tip", "gain": 4.0},
+                {"name": "wrist", "kind": "frame_orientation", "frame": "tip", "gain": 1.0},
+            ],
+            "filter": {"kind": "first_order", "cutoff": 4.0},
+        },
+        "small_arm",
+    )
+
+
+@pytest.fixture(scope="session")
+def small_arm(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., CompiledController]:
+    """An arm of three turning joints, compiled; with a `base` it stands on two sliding ones.
+
+    Its tip and its wrist follow references, past two balls, a capsule and a half-space.
+    """
+
+    def load(base: bool = False) -> CompiledController:
+        folder = tmp_path_factory.mktemp("small_arm")
+        for file, text in generate(_small_arm(base)).items():
+            (folder / file).write_text(text)
+        return CompiledController.load(folder)
+
+    return load
+
+
+@pytest.fixture(scope="session")
+def small_arm_by_hand() -> Callable[[Array, Array], tuple[Array, Array]]:
+    """Shoulder, elbow and tip of the arm that stands at `foot`, (3, 3) [m], and how its wrist is turned, (3, 3)."""
+
+    def places(q: Array, foot: Array) -> tuple[Array, Array]:
+        turn, lift, bend = q
+        out = np.array([np.cos(turn), np.sin(turn), 0.0])
+        up = np.array([0.0, 0.0, 1.0])
+
+        def along(angle: float) -> Array:  # a positive turn about y lowers the arm
+            return np.cos(angle) * out - np.sin(angle) * up
+
+        shoulder = foot + 0.4 * up
+        elbow = shoulder + 0.5 * along(lift)
+        wrist = Rotation.from_euler("ZY", [turn, lift + bend]).as_matrix()
+        return np.array([shoulder, elbow, elbow + 0.3 * along(lift + bend)]), wrist
+
+    return places

@@ -11,10 +11,14 @@ from clikgen.runtime.controller import CompiledController
 from clikgen.runtime.manifest import is_positive_definite
 from clikgen.runtime.scenario import CASES, read_scenario, shipped_scenarios
 from clikgen.runtime.simulation import prepare
-from clikgen.symbolic import filters, laws
-from clikgen.symbolic.generate import difference, generate_file, shipped_folder
+from clikgen.symbolic import filters, laws, tasks
+from clikgen.symbolic.activations.switched import Spec as Switched
+from clikgen.symbolic.controller import build
+from clikgen.symbolic.generate import difference, generate, generate_file, shipped_folder
+from clikgen.symbolic.kinds import kinds_in
+from clikgen.symbolic.one_sided import OneSidedSpec
 from clikgen.symbolic.spec import read_spec, shipped_specs
-from clikgen.symbolic.task import TaskSpec, task_kinds
+from clikgen.symbolic.task import TaskSpec
 
 SPECS = {path.stem: path for path in shipped_specs()}
 SCENARIOS = {path.stem: path for path in shipped_scenarios()}
@@ -28,6 +32,18 @@ def spec_file(request):
 @pytest.fixture
 def controller(spec_file):
     return CompiledController.load(shipped_folder() / spec_file.stem)
+
+
+@pytest.fixture
+def switched(spec_file, tmp_path):
+    """The controller with a row for each contact, as the paper has them: a barrier tells neither potential nor row."""
+    spec, rows = read_spec(spec_file), Switched(kind="switched", combine="rows")
+    tables = [
+        task.model_copy(update={"activation": rows}) if isinstance(task, OneSidedSpec) else task for task in spec.tasks
+    ]
+    for name, text in generate(spec.model_copy(update={"tasks": tuple(tables)})).items():
+        (tmp_path / name).write_text(text)
+    return CompiledController.load(tmp_path)
 
 
 def states(controller, count, seed=0):
@@ -102,19 +118,19 @@ def test_every_signal_has_a_unit_and_a_meaning(controller):
             assert signal.description
 
 
-def test_every_task_jacobian_is_the_derivative_of_what_the_task_measures(controller):
+def test_every_task_jacobian_is_the_derivative_of_what_the_task_measures(switched):
     """Central differences at h = 1e-5: truncation h²·|D³f|/6 and rounding eps/h stay below 1e-7 for lengths of metres.
 
     Kinks and poles (a potential's boundary, looking away, a heading's wrap, w = 0) are met by few of the states.
     """
     count = 400
-    values = states(controller, count)
-    jacobians = controller.jacobians.map(count, own_inputs(controller.jacobians, values))
-    for task in controller.manifest.tasks:
+    values = states(switched, count)
+    jacobians = switched.jacobians.map(count, own_inputs(switched.jacobians, values))
+    for task in switched.manifest.tasks:
         kinds = ("position", "orientation", "potential", "value")
-        wanted = [f"{task.name}_{kind}" for kind in kinds if f"{task.name}_{kind}" in controller.step.outputs]
+        wanted = [f"{task.name}_{kind}" for kind in kinds if f"{task.name}_{kind}" in switched.step.outputs]
         assert wanted, f"{task.kind} says nothing of what it measures"
-        columns = [rate(controller.step, wanted, values, i) for i in range(values["q"].shape[1])]
+        columns = [rate(switched.step, wanted, values, i) for i in range(values["q"].shape[1])]
         jacobian = jacobians[f"{task.name}_jacobian"].reshape(count, -1, values["q"].shape[1])
         wrong = np.abs(jacobian - np.stack(columns, axis=-1)).max(axis=(1, 2)) > 1e-6 * (
             1 + np.abs(jacobian).max(axis=(1, 2))
@@ -145,6 +161,23 @@ def test_link_poses_are_rotations(controller):
     np.testing.assert_allclose(np.linalg.det(rotation), 1, atol=1e-12)
 
 
+def test_the_compiled_step_equals_casadi_bit_for_bit(controller, spec_file, anything):
+    """As they occur and anywhere within the limits of the inputs; zeros of either sign differ here, too."""
+    function, count = build(read_spec(spec_file)).function("step"), 500
+    for values in (states(controller, count), anything(controller.step.info, count, 1)):
+        given = {
+            signal.name: np.broadcast_to(
+                values.get(signal.name, np.reshape(signal.default or 0.0, signal.shape)), (count, *signal.shape)
+            )
+            for signal in controller.step.info.inputs
+        }
+        compiled = controller.step.map(count, given)
+        columns = [given[name].reshape(count, -1).T for name in function.name_in()]
+        for name, result in zip(function.name_out(), function.map(count).call(columns), strict=True):
+            expected = np.ascontiguousarray(np.array(result).T).reshape(compiled[name].shape)
+            np.testing.assert_array_equal(compiled[name].view(np.uint64), expected.view(np.uint64), err_msg=name)
+
+
 def test_a_million_random_states_step_to_finite_ones(controller, anything):
     """Half of them as they occur, half anywhere within the limits of the inputs."""
     count, chunks = 20_000, 50
@@ -156,7 +189,7 @@ def test_a_million_random_states_step_to_finite_ones(controller, anything):
 
 def test_every_task_kind_is_a_spec_of_its_file_s_name_and_ships_in_a_controller():
     used = {task.kind for path in SPECS.values() for task in read_spec(path).tasks}
-    for name, kind in task_kinds().items():
+    for name, kind in kinds_in(tasks).items():
         assert issubclass(kind, TaskSpec)
         assert kind.model_fields["kind"].annotation.__args__ == (name,)
         assert name in used

@@ -3,7 +3,7 @@
  * two arms on a lift: the left hand follows a pose, the right one keeps its place beside it
  *
  * Tasks, the highest priority first, under the law 'augmented':
- *   1. apart (self_collision)
+ *   1. apart (self_collision, barrier)
  *   2. left (frame_position)
  *   3. left_turn (frame_orientation)
  *   4. right (relative_position)
@@ -67,15 +67,9 @@ typedef struct dual_arm_jacobians_input {
    * right_wrist_roll [m, rad, rad, rad, rad, rad, rad, rad, rad, rad, rad, rad, rad, rad, rad,
    * rad]; -1e+06 to 1e+06 */
   double q[16];
-  /* s of each pair: torso-left_forearm, torso-left_palm, torso-right_forearm, torso-right_palm,
-   * left_forearm-right_forearm, left_palm-right_palm, left_forearm-right_palm, left_palm-
-   * right_forearm [m]; default 0.04; 1e-06 to 1000 */
-  double apart_margin[8];
 } dual_arm_jacobians_input;
 
 typedef struct dual_arm_jacobians_output {
-  /* J_o = ∂V/∂q, eq. 9 of each contact [m^2 per joint unit] */
-  double apart_jacobian[8][16];
   /* J_g = ∂f_g/∂q of frame left_hand [m per joint unit] */
   double left_jacobian[3][16];
   /* J_ω, ω = J_ω q̇ of frame left_hand [rad per joint unit] */
@@ -85,9 +79,6 @@ typedef struct dual_arm_jacobians_output {
   /* S = ∂q_s/∂q [1 per joint unit] */
   double posture_jacobian[16][16];
 } dual_arm_jacobians_output;
-
-/* Every parameter at its default, everything else zero. */
-void dual_arm_jacobians_defaults(dual_arm_jacobians_input *input);
 
 /* One evaluation; `output` may not overlap `input`. Returns 0. */
 int dual_arm_jacobians_call(const dual_arm_jacobians_input *input, dual_arm_jacobians_output *output);
@@ -104,14 +95,12 @@ typedef struct dual_arm_step_input {
    * right_wrist_roll [m, rad, rad, rad, rad, rad, rad, rad, rad, rad, rad, rad, rad, rad, rad,
    * rad]; -1e+06 to 1e+06 */
   double q[16];
-  /* K_o (eq. 10) [1/s]; default 50; 0 to 1e+06 */
-  double apart_gain;
-  /* damping of J⁺ [m^2]; default 0.0002; 1e-09 to 1000 */
-  double apart_damping;
   /* s of each pair: torso-left_forearm, torso-left_palm, torso-right_forearm, torso-right_palm,
    * left_forearm-right_forearm, left_palm-right_palm, left_forearm-right_palm, left_palm-
    * right_forearm [m]; default 0.04; 1e-06 to 1000 */
   double apart_margin[8];
+  /* γ of the barrier [1/s]; default 20; 1e-06 to 1e+06 */
+  double apart_rate;
   /* r_g, where frame left_hand should be [m]; -1e+06 to 1e+06 */
   double left_reference[3];
   /* its time derivative [m/s]; -1e+06 to 1e+06 */
@@ -164,6 +153,12 @@ typedef struct dual_arm_step_input {
    * rad/s, rad/s, rad/s, rad/s, rad/s]; default {0.1, 1.5, 2, 2, 2, 2, 3, 3, 3, 2, 2, 2, 2, 3, 3,
    * 3}; 1e-06 to 1e+06 */
   double velocity_limit[16];
+  /* ε, how far the barrier lets the task yield, its null space 1 [1]; default 0.02; 0.0001 to 1 */
+  double left_yields;
+  /* ε, how far the barrier lets the task yield, its null space 1 [1]; default 0.02; 0.0001 to 1 */
+  double left_turn_yields;
+  /* ε, how far the barrier lets the task yield, its null space 1 [1]; default 0.02; 0.0001 to 1 */
+  double right_yields;
   /* f_c of each joint (eq. 15) [Hz]; default 10; 1e-06 to 1e+06 */
   double filter_cutoff[16];
   /* λ while no region meets an obstacle [1]; default 0; 0 to 1 */
@@ -182,8 +177,6 @@ typedef struct dual_arm_step_output {
   /* joint velocity of the law alone (eq. 11) [m/s, rad/s, rad/s, rad/s, rad/s, rad/s, rad/s, rad/s,
    * rad/s, rad/s, rad/s, rad/s, rad/s, rad/s, rad/s, rad/s] */
   double dq_law[16];
-  /* V, eq. 8 of each contact [m^2] */
-  double apart_potential[8];
   /* d of each pair: torso-left_forearm, torso-left_palm, torso-right_forearm, torso-right_palm,
    * left_forearm-right_forearm, left_palm-right_palm, left_forearm-right_palm, left_palm-
    * right_forearm [m] */
@@ -207,6 +200,14 @@ typedef struct dual_arm_step_output {
   double posture_value[16];
   /* r − q_s [m, rad, rad, rad, rad, rad, rad, rad, rad, rad, rad, rad, rad, rad, rad, rad] */
   double posture_error[16];
+  /* largest violation of a row; 0 where all can be kept [m/s, rad/s] */
+  double barrier_excess;
+  /* the row violated most, −1 for none [1] */
+  double barrier_row;
+  /* steps of the quadratic program, at most 70 [1] */
+  double barrier_steps;
+  /* 1, or 0 where those steps were not enough [1] */
+  double barrier_solved;
   /* λ, the share of the filter (eq. 17) [1] */
   double lam;
 } dual_arm_step_output;
@@ -217,7 +218,7 @@ void dual_arm_step_defaults(dual_arm_step_input *input);
 /* One evaluation; `output` may not overlap `input`. Returns 0. */
 int dual_arm_step_call(const dual_arm_step_input *input, dual_arm_step_output *output);
 
-/* The same in CasADi's calling convention; iw and w may be null, mem is 0. */
+/* The same in CasADi's calling convention; iw wants 0 entries, w 24090, mem is 0. */
 int dual_arm_step(const double **arg, double **res, long long int *iw, double *w, int mem);
 
 #ifdef __cplusplus

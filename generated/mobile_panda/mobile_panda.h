@@ -3,8 +3,8 @@
  * seven-axis arm on a holonomic base: the hand follows a pose past three obstacles, within joint limits
  *
  * Tasks, the highest priority first, under the law 'augmented':
- *   1. limits (joint_limits)
- *   2. obstacles (obstacle_avoidance)
+ *   1. limits (joint_limits, barrier)
+ *   2. obstacles (obstacle_avoidance, barrier)
  *   3. hand (frame_pose)
  *   4. heading (base_heading)
  *   5. posture (posture)
@@ -61,34 +61,9 @@ typedef struct mobile_panda_jacobians_input {
   /* joint position: base_x, base_y, base_yaw, joint1, joint2, joint3, joint4, joint5, joint6,
    * joint7 [m, m, rad, rad, rad, rad, rad, rad, rad, rad]; -1e+06 to 1e+06 */
   double q[10];
-  /* lower limits: base_x, base_y, joint1, joint2, joint3, joint4, joint5, joint6, joint7 [m, m,
-   * rad, rad, rad, rad, rad, rad, rad]; default {-10, -10, -2.8973, -1.7628, -2.8973, -3.0718,
-   * -2.8973, -0.0175, -2.8973}; -1e+06 to 1e+06 */
-  double limits_lower[9];
-  /* upper limits: base_x, base_y, joint1, joint2, joint3, joint4, joint5, joint6, joint7 [m, m,
-   * rad, rad, rad, rad, rad, rad, rad]; default {10, 10, 2.8973, 1.7628, 2.8973, -0.0698, 2.8973,
-   * 3.7525, 2.8973}; -1e+06 to 1e+06 */
-  double limits_upper[9];
-  /* margins s: base_x, base_y, joint1, joint2, joint3, joint4, joint5, joint6, joint7 [m, m, rad,
-   * rad, rad, rad, rad, rad, rad]; default 0.05; 1e-06 to 1e+06 */
-  double limits_margin[9];
-  /* obstacle centres o [m]; -1e+06 to 1e+06 */
-  double obstacle_center[3][3];
-  /* obstacle radii; 0 is a point [m]; 0 to 1000 */
-  double obstacle_radius[3];
-  /* how many are there; the rest is ignored [1]; 0 to 3 */
-  double obstacle_count;
-  /* influence radius s of each point of interest (eq. 8) [m]; default {0.45, 0.45, 0.2, 0.2, 0.2,
-   * 0.15}; 1e-06 to 1000 */
-  double influence_radius[6];
 } mobile_panda_jacobians_input;
 
 typedef struct mobile_panda_jacobians_output {
-  /* J_l = ∂V/∂q, eq. 9 of each limited joint [m, m, rad, rad, rad, rad, rad, rad, rad per joint
-   * unit] */
-  double limits_jacobian[9][10];
-  /* J_o = ∂V/∂q, eq. 9 of each contact [m^2 per joint unit] */
-  double obstacles_jacobian[6][10];
   /* J = [J_p; J_ω] of frame hand_tcp [m, rad per joint unit] */
   double hand_jacobian[6][10];
   /* J = ∂ψ/∂q of frame base [rad per joint unit] */
@@ -98,9 +73,6 @@ typedef struct mobile_panda_jacobians_output {
   /* J_r = ∂r/∂q of every point of interest [m per joint unit] */
   double point_jacobian[6][3][10];
 } mobile_panda_jacobians_output;
-
-/* Every parameter at its default, everything else zero. */
-void mobile_panda_jacobians_defaults(mobile_panda_jacobians_input *input);
 
 /* One evaluation; `output` may not overlap `input`. Returns 0. */
 int mobile_panda_jacobians_call(const mobile_panda_jacobians_input *input, mobile_panda_jacobians_output *output);
@@ -114,10 +86,6 @@ typedef struct mobile_panda_step_input {
   /* joint position: base_x, base_y, base_yaw, joint1, joint2, joint3, joint4, joint5, joint6,
    * joint7 [m, m, rad, rad, rad, rad, rad, rad, rad, rad]; -1e+06 to 1e+06 */
   double q[10];
-  /* K (eq. 10) [1/s]; default 20; 0 to 1e+06 */
-  double limits_gain;
-  /* damping of J⁺ [m, m, rad, rad, rad, rad, rad, rad, rad]; default 0.001; 1e-09 to 1000 */
-  double limits_damping;
   /* lower limits: base_x, base_y, joint1, joint2, joint3, joint4, joint5, joint6, joint7 [m, m,
    * rad, rad, rad, rad, rad, rad, rad]; default {-10, -10, -2.8973, -1.7628, -2.8973, -3.0718,
    * -2.8973, -0.0175, -2.8973}; -1e+06 to 1e+06 */
@@ -129,10 +97,10 @@ typedef struct mobile_panda_step_input {
   /* margins s: base_x, base_y, joint1, joint2, joint3, joint4, joint5, joint6, joint7 [m, m, rad,
    * rad, rad, rad, rad, rad, rad]; default 0.05; 1e-06 to 1e+06 */
   double limits_margin[9];
-  /* K_o (eq. 10) [1/s]; default 20; 0 to 1e+06 */
-  double obstacles_gain;
-  /* damping of J⁺ [m^2]; default 0.0002; 1e-09 to 1000 */
-  double obstacles_damping;
+  /* γ of the barrier [1/s]; default 10; 1e-06 to 1e+06 */
+  double limits_rate;
+  /* γ of the barrier [1/s]; default 10; 1e-06 to 1e+06 */
+  double obstacles_rate;
   /* r_d, where frame hand_tcp should be [m]; -1e+06 to 1e+06 */
   double hand_reference[3];
   /* its time derivative [m/s]; -1e+06 to 1e+06 */
@@ -178,6 +146,8 @@ typedef struct mobile_panda_step_input {
   double obstacle_radius[3];
   /* how many are there; the rest is ignored [1]; 0 to 3 */
   double obstacle_count;
+  /* ȯ, how fast the centres move [m/s]; -1000 to 1000 */
+  double obstacle_velocity[3][3];
   /* influence radius s of each point of interest (eq. 8) [m]; default {0.45, 0.45, 0.2, 0.2, 0.2,
    * 0.15}; 1e-06 to 1000 */
   double influence_radius[6];
@@ -185,6 +155,10 @@ typedef struct mobile_panda_step_input {
    * joint7 [m/s, m/s, rad/s, rad/s, rad/s, rad/s, rad/s, rad/s, rad/s, rad/s]; default {1, 1, 1.5,
    * 2.175, 2.175, 2.175, 2.175, 2.61, 2.61, 2.61}; 1e-06 to 1e+06 */
   double velocity_limit[10];
+  /* ε, how far the barrier lets the task yield, its null space 1 [1]; default 0.02; 0.0001 to 1 */
+  double hand_yields;
+  /* ε, how far the barrier lets the task yield, its null space 1 [1]; default 0.2; 0.0001 to 1 */
+  double heading_yields;
   /* f_c of each joint (eq. 15) [Hz]; default 10; 1e-06 to 1e+06 */
   double filter_cutoff[10];
   /* λ while no region meets an obstacle [1]; default 0; 0 to 1 */
@@ -207,10 +181,6 @@ typedef struct mobile_panda_step_output {
   double dq_law[10];
   /* x, depth into the margin, of each limited joint [m, m, rad, rad, rad, rad, rad, rad, rad] */
   double limits_depth[9];
-  /* V, eq. 8 of each limited joint [m^2, m^2, rad^2, rad^2, rad^2, rad^2, rad^2, rad^2, rad^2] */
-  double limits_potential[9];
-  /* V, eq. 8 of each contact [m^2] */
-  double obstacles_potential[6];
   /* f(q), where frame hand_tcp is [m] */
   double hand_position[3];
   /* R, quaternion (w, x, y, z), w >= 0 [1] */
@@ -228,6 +198,14 @@ typedef struct mobile_panda_step_output {
   double posture_value[7];
   /* r − q_s [rad, rad, rad, rad, rad, rad, rad] */
   double posture_error[7];
+  /* largest violation of a row; 0 where all can be kept [m/s, rad/s] */
+  double barrier_excess;
+  /* the row violated most, −1 for none [1] */
+  double barrier_row;
+  /* steps of the quadratic program, at most 70 [1] */
+  double barrier_steps;
+  /* 1, or 0 where those steps were not enough [1] */
+  double barrier_solved;
   /* λ, the share of the filter (eq. 17) [1] */
   double lam;
   /* 1 while d <= s for some point of interest, else 0 [1] */
@@ -244,7 +222,7 @@ void mobile_panda_step_defaults(mobile_panda_step_input *input);
 /* One evaluation; `output` may not overlap `input`. Returns 0. */
 int mobile_panda_step_call(const mobile_panda_step_input *input, mobile_panda_step_output *output);
 
-/* The same in CasADi's calling convention; iw and w may be null, mem is 0. */
+/* The same in CasADi's calling convention; iw wants 0 entries, w 13869, mem is 0. */
 int mobile_panda_step(const double **arg, double **res, long long int *iw, double *w, int mem);
 
 #ifdef __cplusplus

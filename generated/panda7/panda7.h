@@ -3,8 +3,8 @@
  * seven-axis arm: the hand follows a pose past obstacles, within joint limits, near a posture
  *
  * Tasks, the highest priority first, under the law 'augmented':
- *   1. limits (joint_limits)
- *   2. obstacles (obstacle_avoidance)
+ *   1. limits (joint_limits, barrier)
+ *   2. obstacles (obstacle_avoidance, barrier)
  *   3. hand (frame_pose)
  *   4. posture (posture)
  *
@@ -58,47 +58,9 @@ typedef struct panda7_jacobians_input {
   /* joint position: joint1, joint2, joint3, joint4, joint5, joint6, joint7 [rad, rad, rad, rad,
    * rad, rad, rad]; -1e+06 to 1e+06 */
   double q[7];
-  /* lower limits: joint1, joint2, joint3, joint4, joint5, joint6, joint7 [rad, rad, rad, rad, rad,
-   * rad, rad]; default {-2.8973, -1.7628, -2.8973, -3.0718, -2.8973, -0.0175, -2.8973}; -1e+06 to
-   * 1e+06 */
-  double limits_lower[7];
-  /* upper limits: joint1, joint2, joint3, joint4, joint5, joint6, joint7 [rad, rad, rad, rad, rad,
-   * rad, rad]; default {2.8973, 1.7628, 2.8973, -0.0698, 2.8973, 3.7525, 2.8973}; -1e+06 to 1e+06
-   * */
-  double limits_upper[7];
-  /* margins s: joint1, joint2, joint3, joint4, joint5, joint6, joint7 [rad, rad, rad, rad, rad,
-   * rad, rad]; default 0.05; 1e-06 to 1e+06 */
-  double limits_margin[7];
-  /* obstacle centres o [m]; -1e+06 to 1e+06 */
-  double obstacle_center[3][3];
-  /* obstacle radii; 0 is a point [m]; 0 to 1000 */
-  double obstacle_radius[3];
-  /* how many are there; the rest is ignored [1]; 0 to 3 */
-  double obstacle_count;
-  /* where the capsules' axes start [m]; -1e+06 to 1e+06 */
-  double capsule_start[1][3];
-  /* where the capsules' axes end [m]; -1e+06 to 1e+06 */
-  double capsule_end[1][3];
-  /* capsule radii; 0 is a segment [m]; 0 to 1000 */
-  double capsule_radius[1];
-  /* how many are there; the rest is ignored [1]; 0 to 1 */
-  double capsule_count;
-  /* outward unit normals n of the half-spaces [1]; -1 to 1 */
-  double half_space_normal[1][3];
-  /* o: nᵀp <= o is inside [m]; -1e+06 to 1e+06 */
-  double half_space_offset[1];
-  /* how many are there; the rest is ignored [1]; 0 to 1 */
-  double half_space_count;
-  /* influence radius s of each point of interest (eq. 8) [m]; default {0.2, 0.2, 0.2, 0.18}; 1e-06
-   * to 1000 */
-  double influence_radius[4];
 } panda7_jacobians_input;
 
 typedef struct panda7_jacobians_output {
-  /* J_l = ∂V/∂q, eq. 9 of each limited joint [rad, rad, rad, rad, rad, rad, rad per joint unit] */
-  double limits_jacobian[7][7];
-  /* J_o = ∂V/∂q, eq. 9 of each contact [m^2 per joint unit] */
-  double obstacles_jacobian[4][7];
   /* J = [J_p; J_ω] of frame hand_tcp [m, rad per joint unit] */
   double hand_jacobian[6][7];
   /* S = ∂q_s/∂q [1 per joint unit] */
@@ -106,9 +68,6 @@ typedef struct panda7_jacobians_output {
   /* J_r = ∂r/∂q of every point of interest [m per joint unit] */
   double point_jacobian[4][3][7];
 } panda7_jacobians_output;
-
-/* Every parameter at its default, everything else zero. */
-void panda7_jacobians_defaults(panda7_jacobians_input *input);
 
 /* One evaluation; `output` may not overlap `input`. Returns 0. */
 int panda7_jacobians_call(const panda7_jacobians_input *input, panda7_jacobians_output *output);
@@ -122,10 +81,6 @@ typedef struct panda7_step_input {
   /* joint position: joint1, joint2, joint3, joint4, joint5, joint6, joint7 [rad, rad, rad, rad,
    * rad, rad, rad]; -1e+06 to 1e+06 */
   double q[7];
-  /* K (eq. 10) [1/s]; default 50; 0 to 1e+06 */
-  double limits_gain;
-  /* damping of J⁺ [rad, rad, rad, rad, rad, rad, rad]; default 0.001; 1e-09 to 1000 */
-  double limits_damping;
   /* lower limits: joint1, joint2, joint3, joint4, joint5, joint6, joint7 [rad, rad, rad, rad, rad,
    * rad, rad]; default {-2.8973, -1.7628, -2.8973, -3.0718, -2.8973, -0.0175, -2.8973}; -1e+06 to
    * 1e+06 */
@@ -137,10 +92,10 @@ typedef struct panda7_step_input {
   /* margins s: joint1, joint2, joint3, joint4, joint5, joint6, joint7 [rad, rad, rad, rad, rad,
    * rad, rad]; default 0.05; 1e-06 to 1e+06 */
   double limits_margin[7];
-  /* K_o (eq. 10) [1/s]; default 50; 0 to 1e+06 */
-  double obstacles_gain;
-  /* damping of J⁺ [m^2]; default 0.0002; 1e-09 to 1000 */
-  double obstacles_damping;
+  /* γ of the barrier [1/s]; default 20; 1e-06 to 1e+06 */
+  double limits_rate;
+  /* γ of the barrier [1/s]; default 20; 1e-06 to 1e+06 */
+  double obstacles_rate;
   /* r_d, where frame hand_tcp should be [m]; -1e+06 to 1e+06 */
   double hand_reference[3];
   /* its time derivative [m/s]; -1e+06 to 1e+06 */
@@ -171,6 +126,8 @@ typedef struct panda7_step_input {
   double obstacle_radius[3];
   /* how many are there; the rest is ignored [1]; 0 to 3 */
   double obstacle_count;
+  /* ȯ, how fast the centres move [m/s]; -1000 to 1000 */
+  double obstacle_velocity[3][3];
   /* where the capsules' axes start [m]; -1e+06 to 1e+06 */
   double capsule_start[1][3];
   /* where the capsules' axes end [m]; -1e+06 to 1e+06 */
@@ -192,6 +149,10 @@ typedef struct panda7_step_input {
    * rad/s, rad/s, rad/s, rad/s]; default {2.175, 2.175, 2.175, 2.175, 2.61, 2.61, 2.61}; 1e-06 to
    * 1e+06 */
   double velocity_limit[7];
+  /* ε, how far the barrier lets the task yield, its null space 1 [1]; default 0.02; 0.0001 to 1 */
+  double hand_yields;
+  /* ε, how far the barrier lets the task yield, its null space 1 [1]; default 0.2; 0.0001 to 1 */
+  double posture_yields;
   /* f_c of each joint (eq. 15) [Hz]; default 20; 1e-06 to 1e+06 */
   double filter_cutoff[7];
   /* λ while no region meets an obstacle [1]; default 0; 0 to 1 */
@@ -212,10 +173,6 @@ typedef struct panda7_step_output {
   double dq_law[7];
   /* x, depth into the margin, of each limited joint [rad, rad, rad, rad, rad, rad, rad] */
   double limits_depth[7];
-  /* V, eq. 8 of each limited joint [rad^2, rad^2, rad^2, rad^2, rad^2, rad^2, rad^2] */
-  double limits_potential[7];
-  /* V, eq. 8 of each contact [m^2] */
-  double obstacles_potential[4];
   /* f(q), where frame hand_tcp is [m] */
   double hand_position[3];
   /* R, quaternion (w, x, y, z), w >= 0 [1] */
@@ -229,6 +186,14 @@ typedef struct panda7_step_output {
   double posture_value[7];
   /* r − q_s [rad, rad, rad, rad, rad, rad, rad] */
   double posture_error[7];
+  /* largest violation of a row; 0 where all can be kept [m/s, rad/s] */
+  double barrier_excess;
+  /* the row violated most, −1 for none [1] */
+  double barrier_row;
+  /* steps of the quadratic program, at most 70 [1] */
+  double barrier_steps;
+  /* 1, or 0 where those steps were not enough [1] */
+  double barrier_solved;
   /* λ, the share of the filter (eq. 17) [1] */
   double lam;
   /* 1 while d <= s for some point of interest, else 0 [1] */
@@ -245,7 +210,7 @@ void panda7_step_defaults(panda7_step_input *input);
 /* One evaluation; `output` may not overlap `input`. Returns 0. */
 int panda7_step_call(const panda7_step_input *input, panda7_step_output *output);
 
-/* The same in CasADi's calling convention; iw and w may be null, mem is 0. */
+/* The same in CasADi's calling convention; iw wants 0 entries, w 9213, mem is 0. */
 int panda7_step(const double **arg, double **res, long long int *iw, double *w, int mem);
 
 #ifdef __cplusplus

@@ -3,7 +3,7 @@
  * planar 10R snake: its tool follows a path past obstacles and keeps away from singular shapes
  *
  * Tasks, the highest priority first, under the law 'nsb':
- *   1. obstacles (obstacle_avoidance)
+ *   1. obstacles (obstacle_avoidance, barrier)
  *   2. tool (frame_position)
  *   3. dexterity (manipulability)
  *
@@ -54,19 +54,9 @@ typedef struct planar10_jacobians_input {
   /* joint position: joint_1, joint_2, joint_3, joint_4, joint_5, joint_6, joint_7, joint_8,
    * joint_9, joint_10 [rad, rad, rad, rad, rad, rad, rad, rad, rad, rad]; -1e+06 to 1e+06 */
   double q[10];
-  /* obstacle centres o [m]; -1e+06 to 1e+06 */
-  double obstacle_center[3][2];
-  /* obstacle radii; 0 is a point [m]; 0 to 1000 */
-  double obstacle_radius[3];
-  /* how many are there; the rest is ignored [1]; 0 to 3 */
-  double obstacle_count;
-  /* influence radius s of each point of interest (eq. 8) [m]; default 0.12; 1e-06 to 1000 */
-  double influence_radius[4];
 } planar10_jacobians_input;
 
 typedef struct planar10_jacobians_output {
-  /* J_o = ∂V/∂q, sum of eq. 9 [m^2 per joint unit] */
-  double obstacles_jacobian[10];
   /* J_g = ∂f_g/∂q of frame tool [m per joint unit] */
   double tool_jacobian[2][10];
   /* ∂w/∂q [1 per joint unit] */
@@ -74,9 +64,6 @@ typedef struct planar10_jacobians_output {
   /* J_r = ∂r/∂q of every point of interest [m per joint unit] */
   double point_jacobian[4][2][10];
 } planar10_jacobians_output;
-
-/* Every parameter at its default, everything else zero. */
-void planar10_jacobians_defaults(planar10_jacobians_input *input);
 
 /* One evaluation; `output` may not overlap `input`. Returns 0. */
 int planar10_jacobians_call(const planar10_jacobians_input *input, planar10_jacobians_output *output);
@@ -90,21 +77,21 @@ typedef struct planar10_step_input {
   /* joint position: joint_1, joint_2, joint_3, joint_4, joint_5, joint_6, joint_7, joint_8,
    * joint_9, joint_10 [rad, rad, rad, rad, rad, rad, rad, rad, rad, rad]; -1e+06 to 1e+06 */
   double q[10];
-  /* K_o (eq. 10) [1/s]; default 100; 0 to 1e+06 */
-  double obstacles_gain;
-  /* damping of J⁺ [m^2]; default 0.001; 1e-09 to 1000 */
-  double obstacles_damping;
+  /* γ of the barrier [1/s]; default 20; 1e-06 to 1e+06 */
+  double obstacles_rate;
   /* r_g, where frame tool should be [m]; -1e+06 to 1e+06 */
   double tool_reference[2];
   /* its time derivative [m/s]; -1e+06 to 1e+06 */
   double tool_reference_velocity[2];
   /* K_g (eq. 4), symmetric positive definite [1/s]; default {10, 0, 0, 10}; -10000 to 10000 */
   double tool_gain[2][2];
-  /* greatest damping of J⁺, at a singularity [m]; default 0.05; 1e-09 to 1000 */
+  /* greatest damping of J⁺, at a singularity [m]; default 0.2; 1e-09 to 1000 */
   double tool_damping;
-  /* damping of J⁺ sets in where its least singular value falls below this [m]; default 0.05; 1e-09
+  /* damping of J⁺ sets in where its least singular value falls below this [m]; default 0.2; 1e-09
    * to 1000 */
   double tool_near_singularity;
+  /* largest norm of the feedback K e [1/s of the error]; default 0.5; 1e-06 to 1e+06 */
+  double tool_speed;
   /* k, step along ∂w/∂q [1/s]; default 0.5; 0 to 1e+06 */
   double dexterity_gain;
   /* greatest damping of J⁺, at a singularity [1]; default 0.05; 1e-09 to 1000 */
@@ -118,12 +105,18 @@ typedef struct planar10_step_input {
   double obstacle_radius[3];
   /* how many are there; the rest is ignored [1]; 0 to 3 */
   double obstacle_count;
+  /* ȯ, how fast the centres move [m/s]; -1000 to 1000 */
+  double obstacle_velocity[3][2];
   /* influence radius s of each point of interest (eq. 8) [m]; default 0.12; 1e-06 to 1000 */
   double influence_radius[4];
   /* velocity limits: joint_1, joint_2, joint_3, joint_4, joint_5, joint_6, joint_7, joint_8,
    * joint_9, joint_10 [rad/s, rad/s, rad/s, rad/s, rad/s, rad/s, rad/s, rad/s, rad/s, rad/s];
    * default 3; 1e-06 to 1e+06 */
   double velocity_limit[10];
+  /* ε, how far the barrier lets the task yield, its null space 1 [1]; default 0.02; 0.0001 to 1 */
+  double tool_yields;
+  /* ε, how far the barrier lets the task yield, its null space 1 [1]; default 0.2; 0.0001 to 1 */
+  double dexterity_yields;
   /* f_c of each joint (eq. 15) [Hz]; default 10; 1e-06 to 1e+06 */
   double filter_cutoff[10];
   /* λ while no region meets an obstacle [1]; default 0; 0 to 1 */
@@ -144,8 +137,6 @@ typedef struct planar10_step_output {
   /* joint velocity of the law alone (eq. 11) [rad/s, rad/s, rad/s, rad/s, rad/s, rad/s, rad/s,
    * rad/s, rad/s, rad/s] */
   double dq_law[10];
-  /* V, sum of eq. 8 [m^2] */
-  double obstacles_potential;
   /* f_g(q), where frame tool is [m] */
   double tool_position[2];
   /* r_g − f_g(q) [m] */
@@ -154,6 +145,14 @@ typedef struct planar10_step_output {
   double dexterity_value;
   /* ∂w/∂q of the selected joints [1 per rad, rad, rad, rad, rad, rad, rad, rad, rad, rad] */
   double dexterity_error[10];
+  /* largest violation of a row; 0 where all can be kept [m/s, rad/s] */
+  double barrier_excess;
+  /* the row violated most, −1 for none [1] */
+  double barrier_row;
+  /* steps of the quadratic program, at most 70 [1] */
+  double barrier_steps;
+  /* 1, or 0 where those steps were not enough [1] */
+  double barrier_solved;
   /* λ, the share of the filter (eq. 17) [1] */
   double lam;
   /* 1 while d <= s for some point of interest, else 0 [1] */
@@ -170,7 +169,7 @@ void planar10_step_defaults(planar10_step_input *input);
 /* One evaluation; `output` may not overlap `input`. Returns 0. */
 int planar10_step_call(const planar10_step_input *input, planar10_step_output *output);
 
-/* The same in CasADi's calling convention; iw and w may be null, mem is 0. */
+/* The same in CasADi's calling convention; iw wants 0 entries, w 12590, mem is 0. */
 int planar10_step(const double **arg, double **res, long long int *iw, double *w, int mem);
 
 #ifdef __cplusplus

@@ -64,23 +64,9 @@
 
 static casadi_real casadi_sq(casadi_real x) { return x*x;}
 
-static casadi_real casadi_fmax(casadi_real x, casadi_real y) {
-/* Pre-c99 compatibility */
-#if __STDC_VERSION__ < 199901L
-  return x>y ? x : y;
-#else
-  return fmax(x, y);
-#endif
-}
+static casadi_real casadi_fmax(casadi_real x, casadi_real y) { return x > y ? x : y; }
 
-static casadi_real casadi_fmin(casadi_real x, casadi_real y) {
-/* Pre-c99 compatibility */
-#if __STDC_VERSION__ < 199901L
-  return x<y ? x : y;
-#else
-  return fmin(x, y);
-#endif
-}
+static casadi_real casadi_fmin(casadi_real x, casadi_real y) { return x < y ? x : y; }
 
 /* Configuration this file was compiled with */
 CASADI_SYMBOL_EXPORT void planar5_casadi_version(int* major, int* minor, int* patch) {

@@ -3,7 +3,7 @@
  * holonomic planar base with a two-link arm, tracking under obstacle avoidance
  *
  * Tasks, the highest priority first, under the law 'nsb':
- *   1. obstacles (obstacle_avoidance)
+ *   1. obstacles (obstacle_avoidance, switched)
  *   2. tool (frame_position)
  *
  * In the loop: planar5_step_defaults() once; then every period fill q, references and obstacles,

@@ -3,7 +3,7 @@
  * six-axis arm: the tool follows a path and looks at a target, inside the walls of its cell
  *
  * Tasks, the highest priority first, under the law 'augmented':
- *   1. walls (workspace_walls)
+ *   1. walls (workspace_walls, barrier)
  *   2. tool (frame_position)
  *   3. camera (look_at)
  *
@@ -56,19 +56,11 @@ typedef struct ur6_jacobians_input {
   /* joint position: shoulder_pan_joint, shoulder_lift_joint, elbow_joint, wrist_1_joint,
    * wrist_2_joint, wrist_3_joint [rad, rad, rad, rad, rad, rad]; -1e+06 to 1e+06 */
   double q[6];
-  /* n of each wall, a unit vector inwards [1]; default {0, 0, 1, 0, -1, 0}; -1 to 1 */
-  double walls_normal[2][3];
-  /* o: nᵀp >= o is inside [m]; default {0.05, -0.45}; -1e+06 to 1e+06 */
-  double walls_offset[2];
-  /* s of each wall [m]; default 0.05; 1e-06 to 1000 */
-  double walls_margin[2];
   /* target that frame tool0 looks at [m]; -1e+06 to 1e+06 */
   double camera_reference[3];
 } ur6_jacobians_input;
 
 typedef struct ur6_jacobians_output {
-  /* J_o = ∂V/∂q, eq. 9 of each contact [m^2 per joint unit] */
-  double walls_jacobian[6][6];
   /* J_g = ∂f_g/∂q of frame tool0 [m per joint unit] */
   double tool_jacobian[3][6];
   /* J = ∂x/∂q of frame tool0 [rad per joint unit] */
@@ -76,9 +68,6 @@ typedef struct ur6_jacobians_output {
   /* J_r = ∂r/∂q of every point of interest [m per joint unit] */
   double point_jacobian[3][3][6];
 } ur6_jacobians_output;
-
-/* Every parameter at its default, everything else zero. */
-void ur6_jacobians_defaults(ur6_jacobians_input *input);
 
 /* One evaluation; `output` may not overlap `input`. Returns 0. */
 int ur6_jacobians_call(const ur6_jacobians_input *input, ur6_jacobians_output *output);
@@ -92,16 +81,14 @@ typedef struct ur6_step_input {
   /* joint position: shoulder_pan_joint, shoulder_lift_joint, elbow_joint, wrist_1_joint,
    * wrist_2_joint, wrist_3_joint [rad, rad, rad, rad, rad, rad]; -1e+06 to 1e+06 */
   double q[6];
-  /* K_o (eq. 10) [1/s]; default 50; 0 to 1e+06 */
-  double walls_gain;
-  /* damping of J⁺ [m^2]; default 0.0001; 1e-09 to 1000 */
-  double walls_damping;
   /* n of each wall, a unit vector inwards [1]; default {0, 0, 1, 0, -1, 0}; -1 to 1 */
   double walls_normal[2][3];
   /* o: nᵀp >= o is inside [m]; default {0.05, -0.45}; -1e+06 to 1e+06 */
   double walls_offset[2];
   /* s of each wall [m]; default 0.05; 1e-06 to 1000 */
   double walls_margin[2];
+  /* γ of the barrier [1/s]; default 20; 1e-06 to 1e+06 */
+  double walls_rate;
   /* r_g, where frame tool0 should be [m]; -1e+06 to 1e+06 */
   double tool_reference[3];
   /* its time derivative [m/s]; -1e+06 to 1e+06 */
@@ -109,8 +96,11 @@ typedef struct ur6_step_input {
   /* K_g (eq. 4), symmetric positive definite [1/s]; default {10, 0, 0, 0, 10, 0, 0, 0, 10}; -10000
    * to 10000 */
   double tool_gain[3][3];
-  /* damping of J⁺ [m]; default 0.01; 1e-09 to 1000 */
+  /* greatest damping of J⁺, at a singularity [m]; default 0.05; 1e-09 to 1000 */
   double tool_damping;
+  /* damping of J⁺ sets in where its least singular value falls below this [m]; default 0.05; 1e-09
+   * to 1000 */
+  double tool_near_singularity;
   /* target that frame tool0 looks at [m]; -1e+06 to 1e+06 */
   double camera_reference[3];
   /* its time derivative [m/s]; -1e+06 to 1e+06 */
@@ -126,6 +116,10 @@ typedef struct ur6_step_input {
    * wrist_2_joint, wrist_3_joint [rad/s, rad/s, rad/s, rad/s, rad/s, rad/s]; default 3.14159; 1e-06
    * to 1e+06 */
   double velocity_limit[6];
+  /* ε, how far the barrier lets the task yield, its null space 1 [1]; default 0.02; 0.0001 to 1 */
+  double tool_yields;
+  /* ε, how far the barrier lets the task yield, its null space 1 [1]; default 0.02; 0.0001 to 1 */
+  double camera_yields;
   /* f_c of each joint (eq. 15) [Hz]; default 10; 1e-06 to 1e+06 */
   double filter_cutoff[6];
   /* λ while no region meets an obstacle [1]; default 0; 0 to 1 */
@@ -141,8 +135,6 @@ typedef struct ur6_step_output {
   double dq[6];
   /* joint velocity of the law alone (eq. 11) [rad/s, rad/s, rad/s, rad/s, rad/s, rad/s] */
   double dq_law[6];
-  /* V, eq. 8 of each contact [m^2] */
-  double walls_potential[6];
   /* d to each wall (row) of each point: elbow, wrist, tool [m] */
   double walls_distance[2][3];
   /* f_g(q), where frame tool0 is [m] */
@@ -153,6 +145,14 @@ typedef struct ur6_step_output {
   double camera_value[2];
   /* −x [rad] */
   double camera_error[2];
+  /* largest violation of a row; 0 where all can be kept [m/s, rad/s] */
+  double barrier_excess;
+  /* the row violated most, −1 for none [1] */
+  double barrier_row;
+  /* steps of the quadratic program, at most 70 [1] */
+  double barrier_steps;
+  /* 1, or 0 where those steps were not enough [1] */
+  double barrier_solved;
   /* λ, the share of the filter (eq. 17) [1] */
   double lam;
 } ur6_step_output;
@@ -163,7 +163,7 @@ void ur6_step_defaults(ur6_step_input *input);
 /* One evaluation; `output` may not overlap `input`. Returns 0. */
 int ur6_step_call(const ur6_step_input *input, ur6_step_output *output);
 
-/* The same in CasADi's calling convention; iw and w may be null, mem is 0. */
+/* The same in CasADi's calling convention; iw wants 0 entries, w 5795, mem is 0. */
 int ur6_step(const double **arg, double **res, long long int *iw, double *w, int mem);
 
 #ifdef __cplusplus

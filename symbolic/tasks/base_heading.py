@@ -5,25 +5,16 @@ from typing import Literal
 
 import casadi as ca
 
-from clikgen.symbolic.damping import DampingSpec, damping_signals
 from clikgen.symbolic.obstacles import Sensing
 from clikgen.symbolic.robot import Robot
-from clikgen.symbolic.signals import result
-from clikgen.symbolic.task import (
-    NEAR_SINGULARITY,
-    GainSpec,
-    Task,
-    TaskSpec,
-    gain_signal,
-    jacobian_result,
-    vector_reference,
-)
+from clikgen.symbolic.task import Task, gain_signal, vector_reference
+from clikgen.symbolic.tracking import TrackingSpec
 from clikgen.symbolic.tree import KinematicTree
 
 UPRIGHT = 1e-12  # a_x² + a_y² is held above this: an axis within 1e-6 rad of the vertical has no heading
 
 
-class Spec(TaskSpec):
+class Spec(TrackingSpec):
     """ψ = atan2(a_y, a_x) of the x axis a of `frame`, q̇ = J⁺ (ψ̇_d + K e), e = ψ_d − ψ wrapped into (−π, π].
 
     J = (a_x ȧ_y − a_y ȧ_x)/(a_x² + a_y²) with ȧ = ω × a, so ψ̇ = ω_z − a_z (a_x ω_x + a_y ω_y)/(a_x² + a_y²). The
@@ -32,13 +23,6 @@ class Spec(TaskSpec):
 
     kind: Literal["base_heading"]
     frame: str
-    gain: GainSpec
-    damping: DampingSpec = NEAR_SINGULARITY
-
-    @property
-    def equality(self) -> bool:
-        """Tracking holds always."""
-        return True
 
     def dimension(self, robot: Robot) -> int:
         """One: an angle."""
@@ -51,23 +35,16 @@ class Spec(TaskSpec):
         x, y, z = ca.vertsplit(tree.rotation(frame.link, frame.rpy)[:, 0])
         heading = ca.atan2(y, x)
         tilt = z / ca.fmax(x**2 + y**2, UPRIGHT)
-        jacobian = ca.horzcat(-tilt * x, -tilt * y, 1) @ tree.angular_jacobian(frame.link)
         reference = vector_reference(name, 1, "rad", f"ψ_d, the heading that frame {frame.name} should have")
-        gain = gain_signal(name, 1, self.gain, "K")
-        damping, damping_parameters = damping_signals(name, "rad", self.damping)
         error = _wrapped(reference.value.expression - heading)
-        value = result(f"{name}_value", heading, (1,), "rad", f"ψ, the heading of frame {frame.name}, −π to π")
-        return Task(
-            name=name,
-            jacobian=jacobian,
-            error=error,
+        return self.task(
+            jacobian=ca.horzcat(-tilt * x, -tilt * y, 1) @ tree.angular_jacobian(frame.link),
+            unit="rad",
+            text=f"J = ∂ψ/∂q of frame {frame.name}",
+            gain=gain_signal(name, 1, self.gain, "K"),
+            values=(self.output("value", heading, "rad", f"ψ, the heading of frame {frame.name}, −π to π"),),
+            errors=(self.output("error", error, "rad", "ψ_d − ψ, in (−π, π]"),),
             feedforward=reference.velocity.expression,
-            gain=gain.expression,
-            damping=damping,
-            parameters=(gain, *damping_parameters),
-            diagnostics=(value, result(f"{name}_error", error, (1,), "rad", "ψ_d − ψ, in (−π, π]")),
-            values=(value,),
-            jacobians=(jacobian_result(name, jacobian, "rad", f"J = ∂ψ/∂q of frame {frame.name}"),),
             references=(reference,),
         )
 

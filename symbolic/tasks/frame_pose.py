@@ -5,25 +5,15 @@ from typing import Literal
 import casadi as ca
 
 from clikgen.runtime.documents import BadInput
-from clikgen.symbolic.damping import DampingSpec, damping_signals
 from clikgen.symbolic.obstacles import Sensing
 from clikgen.symbolic.robot import Robot
 from clikgen.symbolic.rotations import OrientationError, orientation_error, quaternion_of
-from clikgen.symbolic.signals import result
-from clikgen.symbolic.task import (
-    NEAR_SINGULARITY,
-    GainSpec,
-    Task,
-    TaskSpec,
-    gain_signal,
-    jacobian_result,
-    rotation_reference,
-    vector_reference,
-)
+from clikgen.symbolic.task import Task, gain_signal, rotation_reference, vector_reference
+from clikgen.symbolic.tracking import TrackingSpec
 from clikgen.symbolic.tree import KinematicTree
 
 
-class Spec(TaskSpec):
+class Spec(TrackingSpec):
     """q̇ = [J_p; J_ω]⁺ ([ṙ_d; ω_d] + K [r_d − f(q); e]), with e = log(R_d Rᵀ) in the world [rad].
 
     The position r_d [m] is the reference `<name>`, the orientation R_d the reference `<name>_orientation`. `gain` is
@@ -35,13 +25,6 @@ class Spec(TaskSpec):
     kind: Literal["frame_pose"]
     frame: str
     error: OrientationError = "axis_angle"
-    gain: GainSpec
-    damping: DampingSpec = NEAR_SINGULARITY
-
-    @property
-    def equality(self) -> bool:
-        """Tracking holds always."""
-        return True
 
     def tracked_axes(self, robot: Robot) -> tuple[int, ...]:
         """All of them."""
@@ -59,31 +42,22 @@ class Spec(TaskSpec):
         frame = tree.robot.frame(self.frame)
         position = tree.position(frame.link, frame.xyz)
         quaternion = quaternion_of(tree.rotation(frame.link, frame.rpy))
-        jacobian = ca.vertcat(tree.position_jacobian(frame.link, frame.xyz), tree.angular_jacobian(frame.link))
         place = vector_reference(name, 3, "m", f"r_d, where frame {frame.name} should be")
         turn = rotation_reference(f"{name}_orientation", f"R_d, how frame {frame.name} should be turned")
-        gain = gain_signal(name, 6, self.gain, "K, position first")
-        damping, damping_parameters = damping_signals(name, "m, rad", self.damping)
-        error = place.value.expression - position
-        turn_error = orientation_error(turn.value.expression, quaternion, self.error)
-        values = (
-            result(f"{name}_position", position, (3,), "m", f"f(q), where frame {frame.name} is"),
-            result(f"{name}_orientation", quaternion, (4,), "1", "R, quaternion (w, x, y, z), w >= 0"),
-        )
-        return Task(
-            name=name,
-            jacobian=jacobian,
-            error=ca.vertcat(error, turn_error),
-            feedforward=ca.vertcat(place.velocity.expression, turn.velocity.expression),
-            gain=gain.expression,
-            damping=damping,
-            parameters=(gain, *damping_parameters),
-            diagnostics=(
-                *values,
-                result(f"{name}_error", error, (3,), "m", "r_d − f(q)"),
-                result(f"{name}_orientation_error", turn_error, (3,), "rad", "e, the turn from R to R_d"),
+        error = orientation_error(turn.value.expression, quaternion, self.error)
+        return self.task(
+            jacobian=ca.vertcat(tree.position_jacobian(frame.link, frame.xyz), tree.angular_jacobian(frame.link)),
+            unit="m, rad",
+            text=f"J = [J_p; J_ω] of frame {frame.name}",
+            gain=gain_signal(name, 6, self.gain, "K, position first"),
+            values=(
+                self.output("position", position, "m", f"f(q), where frame {frame.name} is"),
+                self.output("orientation", quaternion, "1", "R, quaternion (w, x, y, z), w >= 0"),
             ),
-            values=values,
-            jacobians=(jacobian_result(name, jacobian, "m, rad", f"J = [J_p; J_ω] of frame {frame.name}"),),
+            errors=(
+                self.output("error", place.value.expression - position, "m", "r_d − f(q)"),
+                self.output("orientation_error", error, "rad", "e, the turn from R to R_d"),
+            ),
+            feedforward=ca.vertcat(place.velocity.expression, turn.velocity.expression),
             references=(place, turn),
         )

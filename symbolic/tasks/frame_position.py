@@ -1,27 +1,19 @@
 """Trajectory tracking: a frame's position follows a reference, closed loop (eqs. 3-5)."""
 
+from dataclasses import replace
 from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
 from clikgen.runtime.documents import BadInput
-from clikgen.symbolic.damping import DampingSpec, damping_signals
 from clikgen.symbolic.obstacles import Sensing
 from clikgen.symbolic.robot import Robot
-from clikgen.symbolic.signals import result
-from clikgen.symbolic.task import (
-    NEAR_SINGULARITY,
-    GainSpec,
-    Task,
-    TaskSpec,
-    gain_signal,
-    jacobian_result,
-    vector_reference,
-)
+from clikgen.symbolic.task import Task, gain_signal, vector_reference
+from clikgen.symbolic.tracking import TrackingSpec
 from clikgen.symbolic.tree import KinematicTree
 
 
-class Spec(TaskSpec):
+class Spec(TrackingSpec):
     """q̇_g = J_g⁺ (ṙ_g + K_g (r_g − f_g(q))), eq. 4.
 
     `axes` are the world axes along which the position is held, all of them by default. `gain` is K_g [1/s]: a
@@ -32,19 +24,12 @@ class Spec(TaskSpec):
     kind: Literal["frame_position"]
     frame: str
     axes: Annotated[tuple[Literal["x", "y", "z"], ...], Field(min_length=1)] | None = None
-    gain: GainSpec
-    damping: DampingSpec = NEAR_SINGULARITY
 
     @model_validator(mode="after")
     def _axes_differ(self) -> Self:
         if self.axes and len(set(self.axes)) < len(self.axes):
             raise ValueError(f"wanted each axis once, got {list(self.axes)}")
         return self
-
-    @property
-    def equality(self) -> bool:
-        """Tracking holds always."""
-        return True
 
     def tracked_axes(self, robot: Robot) -> tuple[int, ...]:
         """Those of `axes`; raises BadInput for z in the plane."""
@@ -59,28 +44,19 @@ class Spec(TaskSpec):
 
     def build(self, tree: KinematicTree, sensing: Sensing | None) -> Task:
         """The error r_g − f_g(q) [m], the geometric Jacobian of the frame, and ṙ_g as feedforward."""
-        m, name = self.dimension(tree.robot), self.name
+        name, m = self.name, self.dimension(tree.robot)
         frame = tree.robot.frame(self.frame)
         rows = list(self.tracked_axes(tree.robot))
         position = tree.position(frame.link, frame.xyz)[rows]
-        jacobian = tree.position_jacobian(frame.link, frame.xyz)[rows, :]
         reference = vector_reference(name, m, "m", f"r_g, where frame {frame.name} should be")
-        gain = gain_signal(name, m, self.gain, "K_g (eq. 4)")
-        damping, damping_parameters = damping_signals(name, "m", self.damping)
-        error = reference.value.expression - position
-        return Task(
-            name=name,
-            jacobian=jacobian,
-            error=error,
+        task = self.task(
+            jacobian=tree.position_jacobian(frame.link, frame.xyz)[rows, :],
+            unit="m",
+            text=f"J_g = ∂f_g/∂q of frame {frame.name}",
+            gain=gain_signal(name, m, self.gain, "K_g (eq. 4)"),
+            values=(self.output("position", position, "m", f"f_g(q), where frame {frame.name} is"),),
+            errors=(self.output("error", reference.value.expression - position, "m", "r_g − f_g(q)"),),
             feedforward=reference.velocity.expression,
-            gain=gain.expression,
-            damping=damping,
-            parameters=(gain, *damping_parameters),
-            diagnostics=(
-                result(f"{name}_position", position, (m,), "m", f"f_g(q), where frame {frame.name} is"),
-                result(f"{name}_error", error, (m,), "m", "r_g − f_g(q)"),
-            ),
-            values=(result(f"{name}_position", position, (m,), "m", f"position of frame {frame.name}"),),
-            jacobians=(jacobian_result(name, jacobian, "m", f"J_g = ∂f_g/∂q of frame {frame.name}"),),
             references=(reference,),
         )
+        return replace(task, values=(self.output("position", position, "m", f"position of frame {frame.name}"),))

@@ -5,26 +5,17 @@ from typing import Literal
 import casadi as ca
 
 from clikgen.runtime.documents import BadInput
-from clikgen.symbolic.damping import DampingSpec, damping_signals
 from clikgen.symbolic.obstacles import Sensing
 from clikgen.symbolic.robot import Robot
-from clikgen.symbolic.signals import result
-from clikgen.symbolic.task import (
-    NEAR_SINGULARITY,
-    GainSpec,
-    Task,
-    TaskSpec,
-    gain_signal,
-    jacobian_result,
-    vector_reference,
-)
+from clikgen.symbolic.task import Task, gain_signal, vector_reference
+from clikgen.symbolic.tracking import TrackingSpec
 from clikgen.symbolic.tree import KinematicTree
 
 NEAREST = 1e-6  # [m] a target closer than this to the frame has no direction: it is taken to be this far
 AWAY = 1e-12  # 1 + cos φ is held above this, where the axis points away from the target to within 1.4e-6 rad
 
 
-class Spec(TaskSpec):
+class Spec(TrackingSpec):
     """x = 2 s_⊥ / (|s| + s_a) → 0, s = Rᵀ (target − p) the target in the frame's axes: |x| = 2 tan(φ/2), about φ.
 
     φ [rad] is the angle between the frame's `axis` a and the way to the target, the reference `<name>` [m] in the
@@ -36,13 +27,6 @@ class Spec(TaskSpec):
     kind: Literal["look_at"]
     frame: str
     axis: Literal["x", "y", "z"] = "z"
-    gain: GainSpec
-    damping: DampingSpec = NEAR_SINGULARITY
-
-    @property
-    def equality(self) -> bool:
-        """It looks always."""
-        return True
 
     def dimension(self, robot: Robot) -> int:
         """A direction's: 2, in the plane 1."""
@@ -59,21 +43,14 @@ class Spec(TaskSpec):
         rotation = tree.rotation(frame.link, frame.rpy)[:d, :d]
         s, s_jacobian = tree.seen_from(frame, target.value.expression, ca.SX.zeros(d, tree.q.numel()))
         x, slope = _projected(s, along)
-        jacobian = slope @ s_jacobian
-        gain = gain_signal(name, m, self.gain, "K")
-        damping, damping_parameters = damping_signals(name, "rad", self.damping)
-        value = result(f"{name}_value", x, (m,), "rad", f"x, the target off the {self.axis} axis of {frame.name}")
-        return Task(
-            name=name,
-            jacobian=jacobian,
-            error=-x,
+        return self.task(
+            jacobian=slope @ s_jacobian,
+            unit="rad",
+            text=f"J = ∂x/∂q of frame {frame.name}",
+            gain=gain_signal(name, m, self.gain, "K"),
+            values=(self.output("value", x, "rad", f"x, the target off the {self.axis} axis of {frame.name}"),),
+            errors=(self.output("error", -x, "rad", "−x"),),
             feedforward=-slope @ (rotation.T @ target.velocity.expression),
-            gain=gain.expression,
-            damping=damping,
-            parameters=(gain, *damping_parameters),
-            diagnostics=(value, result(f"{name}_error", -x, (m,), "rad", "−x")),
-            values=(value,),
-            jacobians=(jacobian_result(name, jacobian, "rad", f"J = ∂x/∂q of frame {frame.name}"),),
             references=(target,),
         )
 

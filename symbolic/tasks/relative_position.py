@@ -2,23 +2,14 @@
 
 from typing import Literal
 
-from clikgen.symbolic.damping import DampingSpec, damping_signals
 from clikgen.symbolic.obstacles import Sensing
 from clikgen.symbolic.robot import Robot
-from clikgen.symbolic.signals import result
-from clikgen.symbolic.task import (
-    NEAR_SINGULARITY,
-    GainSpec,
-    Task,
-    TaskSpec,
-    gain_signal,
-    jacobian_result,
-    vector_reference,
-)
+from clikgen.symbolic.task import Task, gain_signal, vector_reference
+from clikgen.symbolic.tracking import TrackingSpec
 from clikgen.symbolic.tree import KinematicTree
 
 
-class Spec(TaskSpec):
+class Spec(TrackingSpec):
     """r = R_Aᵀ (p_B − p_A), q̇ = J⁺ (ṙ_d + K (r_d − r)) with J = R_Aᵀ (J_B − J_A + [p_B − p_A]× J_ωA).
 
     B is `frame` and A is `relative_to`, in whose axes r [m] and its reference are expressed. What moves both alike
@@ -28,13 +19,6 @@ class Spec(TaskSpec):
     kind: Literal["relative_position"]
     frame: str
     relative_to: str
-    gain: GainSpec
-    damping: DampingSpec = NEAR_SINGULARITY
-
-    @property
-    def equality(self) -> bool:
-        """Tracking holds always."""
-        return True
 
     def dimension(self, robot: Robot) -> int:
         """As many as a position has: 2 in the plane, 3 in space."""
@@ -48,20 +32,13 @@ class Spec(TaskSpec):
             observer, tree.position(frame.link, frame.xyz), tree.position_jacobian(frame.link, frame.xyz)
         )
         reference = vector_reference(name, m, "m", f"r_d, where {observer.name} should see {frame.name}")
-        gain = gain_signal(name, m, self.gain, "K")
-        damping, damping_parameters = damping_signals(name, "m", self.damping)
-        error = reference.value.expression - position
-        seen = result(f"{name}_position", position, (m,), "m", f"r, {frame.name} in the axes of {observer.name}")
-        return Task(
-            name=name,
+        return self.task(
             jacobian=jacobian,
-            error=error,
+            unit="m",
+            text=f"J = ∂r/∂q of {frame.name} from {observer.name}",
+            gain=gain_signal(name, m, self.gain, "K"),
+            values=(self.output("position", position, "m", f"r, {frame.name} in the axes of {observer.name}"),),
+            errors=(self.output("error", reference.value.expression - position, "m", "r_d − r"),),
             feedforward=reference.velocity.expression,
-            gain=gain.expression,
-            damping=damping,
-            parameters=(gain, *damping_parameters),
-            diagnostics=(seen, result(f"{name}_error", error, (m,), "m", "r_d − r")),
-            values=(seen,),
-            jacobians=(jacobian_result(name, jacobian, "m", f"J = ∂r/∂q of {frame.name} from {observer.name}"),),
             references=(reference,),
         )

@@ -65,7 +65,11 @@ SLIDES = {
     },
     "obstacles": {"maximum": 2},
     "tasks": [
-        {"name": "obstacles", "kind": "obstacle_avoidance", "gain": 50.0, "damping": 1e-9},
+        {
+            "name": "obstacles",
+            "kind": "obstacle_avoidance",
+            "activation": {"kind": "switched", "gain": 50.0, "damping": 1e-9},
+        },
         {"name": "tool", "kind": "frame_position", "frame": "tool", "gain": 1.0, "damping": 1e-6},
     ],
     "filter": {"kind": "first_order", "cutoff": 4.0},

@@ -8,55 +8,6 @@ from clikgen.analysis.scene import Wall, even_steps, scene
 from clikgen.runtime.controller import CompiledController
 from clikgen.runtime.scenario import CASES, Scenario, find_scenario, read_scenario
 from clikgen.runtime.simulation import prepare
-from clikgen.symbolic.generate import generate
-from clikgen.symbolic.spec import ControllerSpec
-
-HEIGHT, UPPER, LOWER = 0.4, 0.5, 0.3  # [m] of the shoulder, and of the two pieces of the arm
-RADII = [0.15, 0.1]  # [m] of the influence regions at the elbow and the tip
-TURNING = {"type": "revolute", "lower": -3.0, "upper": 3.0, "velocity": 3.0}
-ARM = [
-    {"name": "turn", "link": "column", "axis": [0, 0, 1]},
-    {"name": "lift", "link": "upper", "axis": [0, 1, 0], "xyz": [0, 0, HEIGHT]},
-    {"name": "bend", "link": "lower", "axis": [0, 1, 0], "xyz": [UPPER, 0, 0]},
-]
-SLIDING = {"type": "prismatic", "lower": -5.0, "upper": 5.0, "velocity": 1.0}
-BASE = [
-    {"name": "along", "link": "sledge", "axis": [1, 0, 0]},
-    {"name": "aside", "link": "base", "axis": [0, 1, 0]},
-]
-
-
-def arm(base=False):
-    """Three turning joints, on two sliding ones where there is a base."""
-    joints = [SLIDING | joint for joint in BASE if base] + [TURNING | joint for joint in ARM]
-    return ControllerSpec.parse(
-        {
-            "name": "small_arm",
-            "description": "an arm of three joints in space",
-            "period": 0.01,
-            "robot": {
-                "joints": joints,
-                "frames": [{"name": "tip", "link": "lower", "xyz": [LOWER, 0, 0]}],
-                "points_of_interest": [
-                    {"name": "elbow", "link": "lower", "influence_radius": RADII[0]},
-                    {"name": "end", "link": "lower", "offset": [LOWER, 0, 0], "influence_radius": RADII[1]},
-                ],
-                "bodies": [
-                    {"name": "forearm", "link": "lower", "end": [LOWER, 0, 0], "radius": 0.05},
-                    {"name": "shoulder", "link": "column", "start": [0, 0, HEIGHT], "radius": 0.08},
-                ],
-            },
-            "obstacles": {"maximum": 2, "capsules": 1, "half_spaces": 1},
-            "tasks": [
-                {"name": "keep_off", "kind": "obstacle_avoidance", "gain": 20.0, "damping": 1e-3},
-                {"name": "tip", "kind": "frame_position", "frame": "tip", "gain": 4.0},
-                {"name": "wrist", "kind": "frame_orientation", "frame": "tip", "gain": 1.0},
-            ],
-            "filter": {"kind": "first_order", "cutoff": 4.0},
-        },
-        "small_arm",
-    )
-
 
 SCENARIO = {
     "name": "small",
@@ -78,39 +29,15 @@ SCENARIO = {
 }
 
 
-def joint_places(q, foot):
-    """Shoulder, elbow and tip of the arm that stands at `foot`, by hand, (3, 3) [m], and its last orientation."""
-    turn, lift, bend = q
-    out = np.array([np.cos(turn), np.sin(turn), 0.0])
-    up = np.array([0.0, 0.0, 1.0])
-
-    def along(angle):  # a positive turn about y lowers the arm
-        return np.cos(angle) * out - np.sin(angle) * up
-
-    shoulder = foot + HEIGHT * up
-    elbow = shoulder + UPPER * along(lift)
-    rotation = Rotation.from_euler("ZY", [turn, lift + bend]).as_matrix()
-    return np.array([shoulder, elbow, elbow + LOWER * along(lift + bend)]), rotation
+def rollout_of(controller, q0):
+    return prepare(controller, Scenario.parse(SCENARIO | {"q0": q0}, "small"), CASES[3]).in_c()
 
 
 @pytest.fixture(scope="module")
-def load(tmp_path_factory):
-    """The arm, compiled, and its rollout."""
-
-    def run(base=False):
-        folder = tmp_path_factory.mktemp("arm")
-        for file, text in generate(arm(base)).items():
-            (folder / file).write_text(text)
-        controller = CompiledController.load(folder)
-        q0 = [0.5, 0.2] * base + [0.3, -0.4, 0.9]
-        return controller, prepare(controller, Scenario.parse(SCENARIO | {"q0": q0}, "small"), CASES[3]).in_c()
-
-    return run
-
-
-@pytest.fixture(scope="module")
-def fixed(load):
-    return load()
+def fixed(small_arm):
+    """The arm and its rollout."""
+    controller = small_arm()
+    return controller, rollout_of(controller, [0.3, -0.4, 0.9])
 
 
 @pytest.fixture(scope="module")
@@ -127,49 +54,50 @@ def test_moments_are_even_and_reach_both_ends(fixed, seen):
     assert len(even_steps(fixed[1], 10**6)) == len(fixed[1].t)
 
 
-def test_segments_lead_from_joint_to_joint_and_to_the_tracked_frame(fixed, seen):
+def test_segments_lead_from_joint_to_joint_and_to_the_tracked_frame(fixed, seen, small_arm_by_hand):
     # the column turns where it stands: no piece of the robot leads to it
     assert [segment.link for segment in seen.segments] == ["upper", "lower", "lower"]
     for k, step in enumerate(seen.steps):
-        places, _ = joint_places(fixed[1].q[step], np.zeros(3))
+        places, _ = small_arm_by_hand(fixed[1].q[step], np.zeros(3))
         ends = np.vstack([np.zeros((1, 3)), places])
         for i, segment in enumerate(seen.segments):
             np.testing.assert_allclose(segment.start[k], ends[i], atol=1e-12)
             np.testing.assert_allclose(segment.end[k], ends[i + 1], atol=1e-12)
     np.testing.assert_allclose(seen.joints[:, 2], seen.segments[2].start, atol=1e-15)
-    assert seen.thickness == pytest.approx(0.025 * (HEIGHT + UPPER), rel=1e-9)
+    assert seen.thickness == pytest.approx(0.025 * (0.4 + 0.5), rel=1e-9)  # the column and the upper arm
 
 
-def test_no_pole_leads_to_a_base_that_slides(load):
-    controller, rollout = load(base=True)
+def test_no_pole_leads_to_a_base_that_slides(small_arm, small_arm_by_hand):
+    controller = small_arm(base=True)
+    rollout = rollout_of(controller, [0.5, 0.2, 0.3, -0.4, 0.9])
     each = scene(controller, rollout, [0, 200, 399])
     assert [segment.link for segment in each.segments] == ["upper", "lower", "lower"]
     for k, step in enumerate([0, 200, 399]):
         q = rollout.q[step]
         np.testing.assert_allclose(each.segments[0].start[k], [*q[:2], 0.0], atol=1e-12)
-        np.testing.assert_allclose(each.segments[2].end[k], joint_places(q[2:], [*q[:2], 0.0])[0][2], atol=1e-12)
+        np.testing.assert_allclose(each.segments[2].end[k], small_arm_by_hand(q[2:], [*q[:2], 0.0])[0][2], atol=1e-12)
 
 
-def test_bodies_and_regions_move_with_their_links(fixed, seen):
+def test_bodies_and_regions_move_with_their_links(fixed, seen, small_arm_by_hand):
     forearm, shoulder = seen.bodies
     assert (forearm.radius, forearm.is_ball, shoulder.radius, shoulder.is_ball) == (0.05, False, 0.08, True)
-    assert [region.radius for region in seen.regions] == RADII
+    assert [region.radius for region in seen.regions] == [0.15, 0.1]
     for k, step in enumerate(seen.steps):
-        places, _ = joint_places(fixed[1].q[step], np.zeros(3))
+        places, _ = small_arm_by_hand(fixed[1].q[step], np.zeros(3))
         np.testing.assert_allclose(np.stack([forearm.start[k], forearm.end[k]]), places[1:], atol=1e-12)
         np.testing.assert_allclose(shoulder.start[k], places[0], atol=1e-12)
         np.testing.assert_allclose(np.stack([region.center[k] for region in seen.regions]), places[1:], atol=1e-12)
 
 
-def test_a_region_is_touched_when_it_was_since_the_moment_before(fixed, seen):
+def test_a_region_is_touched_when_it_was_since_the_moment_before(fixed, seen, small_arm_by_hand):
     _, rollout = fixed
     ball = np.linspace([0.3, 0.9, 0.4], [0.3, 0.5, 0.4], 401)[:400]
     touching = np.zeros((400, 2), dtype=bool)
     for k in range(400):
-        for i, place in enumerate(joint_places(rollout.q[k], np.zeros(3))[0][1:]):
+        for i, place in enumerate(small_arm_by_hand(rollout.q[k], np.zeros(3))[0][1:]):
             nearest = [-1, -1, np.clip(place[2], 0, 2)]
             distances = [np.linalg.norm(place - ball[k]) - 0.1, np.linalg.norm(place - nearest) - 0.2, place[2] + 0.1]
-            touching[k, i] = min(distances) <= RADII[i]
+            touching[k, i] = min(distances) <= (0.15, 0.1)[i]
     assert 0 < touching[:, 1].sum() < 400
     begin = 0
     for k, step in enumerate(seen.steps):
@@ -214,10 +142,10 @@ def test_paths_errors_and_signals_are_those_of_the_rollout(fixed, seen):
     np.testing.assert_array_equal(seen.clearance, rollout.signals["clearance"])
 
 
-def test_triads_turn_with_the_frame_and_sit_on_it(fixed, seen):
+def test_triads_turn_with_the_frame_and_sit_on_it(fixed, seen, small_arm_by_hand):
     (triad,) = seen.triads
     for k, step in enumerate(seen.steps):
-        places, rotation = joint_places(fixed[1].q[step], np.zeros(3))
+        places, rotation = small_arm_by_hand(fixed[1].q[step], np.zeros(3))
         np.testing.assert_allclose(triad.actual[k], rotation, atol=1e-9)
         np.testing.assert_allclose(triad.origin[k], places[2], atol=1e-12)
         np.testing.assert_allclose(np.linalg.det(triad.commanded[k]), 1.0, atol=1e-12)

@@ -15,41 +15,6 @@ from clikgen.runtime.controller import CompiledController
 from clikgen.runtime.documents import BadInput
 from clikgen.runtime.scenario import CASES, Scenario, find_scenario, read_scenario
 from clikgen.runtime.simulation import prepare
-from clikgen.symbolic.generate import generate
-from clikgen.symbolic.spec import ControllerSpec
-
-TURNING = {"type": "revolute", "lower": -3.0, "upper": 3.0, "velocity": 3.0}
-
-
-def arm():
-    """A column that turns and two pieces of an arm, with a region of influence at the tip."""
-    joints = [
-        {"name": "turn", "link": "column", "axis": [0, 0, 1]},
-        {"name": "lift", "link": "upper", "axis": [0, 1, 0], "xyz": [0, 0, 0.4]},
-        {"name": "bend", "link": "lower", "axis": [0, 1, 0], "xyz": [0.5, 0, 0]},
-    ]
-    return ControllerSpec.parse(
-        {
-            "name": "small_arm",
-            "description": "an arm of three joints in space",
-            "period": 0.01,
-            "robot": {
-                "joints": [TURNING | joint for joint in joints],
-                "frames": [{"name": "tip", "link": "lower", "xyz": [0.3, 0, 0]}],
-                "points_of_interest": [
-                    {"name": "end", "link": "lower", "offset": [0.3, 0, 0], "influence_radius": 0.12}
-                ],
-            },
-            "obstacles": {"maximum": 1, "capsules": 1, "half_spaces": 1},
-            "tasks": [
-                {"name": "keep_off", "kind": "obstacle_avoidance", "gain": 20.0, "damping": 1e-3},
-                {"name": "tip", "kind": "frame_position", "frame": "tip", "gain": 4.0},
-            ],
-            "filter": {"kind": "first_order", "cutoff": 4.0},
-        },
-        "small_arm",
-    )
-
 
 SCENARIO = {
     "name": "small",
@@ -58,20 +23,18 @@ SCENARIO = {
     "duration": 3.0,
     "q0": [-0.6, -0.3, 1.0],
     "references": {
-        "tip": {"kind": "point_to_point", "start": [0.5, -0.35, 0.35], "end": [0.5, 0.4, 0.35], "duration": 2.5}
+        "tip": {"kind": "point_to_point", "start": [0.5, -0.35, 0.35], "end": [0.5, 0.4, 0.35], "duration": 2.5},
+        "wrist": {"kind": "turn", "start": [0, 0.7, -0.6], "end": [0, 0.7, 0.6], "duration": 2.5},
     },
-    "obstacles": [{"radius": 0.06, "center": [0.66, 0.1, 0.4]}],
+    "obstacles": [{"radius": 0.06, "center": [0.36, 0.1, 0.3]}],
     "capsules": [{"start": [-0.4, -0.4, 0.0], "end": [-0.4, -0.4, 0.6], "radius": 0.05}],
     "half_spaces": [{"normal": [0, 0, 1], "offset": 0.0}],
 }
 
 
 @pytest.fixture(scope="module")
-def controller(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("arm")
-    for file, text in generate(arm()).items():
-        (folder / file).write_text(text)
-    return CompiledController.load(folder)
+def controller(small_arm):
+    return small_arm()
 
 
 @pytest.fixture(scope="module")

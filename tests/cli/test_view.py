@@ -17,8 +17,6 @@ from clikgen.runtime.controller import CompiledController
 from clikgen.runtime.documents import BadInput
 from clikgen.runtime.scenario import CASES, Scenario, find_scenario, read_scenario
 from clikgen.runtime.simulation import prepare
-from clikgen.symbolic.generate import generate
-from clikgen.symbolic.spec import ControllerSpec
 
 
 class FakeServer:
@@ -76,37 +74,8 @@ class FakeClock:
 
 
 @pytest.fixture(scope="module")
-def arm(tmp_path_factory):
-    """Two turning joints in space, compiled: a column of 0.4 m and an arm of 0.5 m."""
-    turning = {"type": "revolute", "lower": -3.0, "upper": 3.0}
-    spec = ControllerSpec.parse(
-        {
-            "name": "two",
-            "description": "two joints",
-            "period": 0.01,
-            "robot": {
-                "joints": [
-                    {"name": "turn", "link": "column", "axis": [0, 0, 1]} | turning,
-                    {"name": "lift", "link": "arm", "axis": [0, 1, 0], "xyz": [0, 0, 0.4]} | turning,
-                ],
-                "frames": [{"name": "tip", "link": "arm", "xyz": [0.5, 0, 0]}],
-                "points_of_interest": [{"name": "end", "link": "arm", "offset": [0.5, 0, 0], "influence_radius": 0.1}],
-                "bodies": [{"name": "bar", "link": "arm", "end": [0.5, 0, 0], "radius": 0.05}],
-            },
-            "obstacles": {"maximum": 1, "capsules": 1, "half_spaces": 1},
-            "tasks": [
-                {"name": "keep_off", "kind": "obstacle_avoidance", "gain": 20.0, "damping": 1e-3},
-                {"name": "tip", "kind": "frame_position", "frame": "tip", "gain": 4.0},
-                {"name": "turned", "kind": "frame_orientation", "frame": "tip", "gain": 1.0},
-            ],
-            "filter": {"kind": "first_order", "cutoff": 4.0},
-        },
-        "two",
-    )
-    folder = tmp_path_factory.mktemp("two")
-    for file, text in generate(spec).items():
-        (folder / file).write_text(text)
-    return CompiledController.load(folder)
+def arm(small_arm):
+    return small_arm()
 
 
 @pytest.fixture(scope="module")
@@ -115,12 +84,12 @@ def rollouts(arm):
         {
             "name": "turn",
             "description": "a quarter turn",
-            "controller": "two",
+            "controller": "small_arm",
             "duration": 2.0,
-            "q0": [0.0, 0.0],
+            "q0": [0.0, -0.61, 1.88],  # the tip is where the circle starts
             "references": {
                 "tip": {"kind": "circle", "center": [0.0, 0.0, 0.4], "radius": 0.5, "period": 8.0},
-                "turned": {"kind": "spin", "start": [0, 0, 0], "axis": [0, 0, 1], "rate": 0.785, "duration": 2.0},
+                "wrist": {"kind": "spin", "start": [0, 0, 0], "axis": [0, 0, 1], "rate": 0.785, "duration": 2.0},
             },
             "obstacles": [{"radius": 0.05, "center": [0.45, 0.45, 0.4]}],
             "capsules": [{"start": [1, 1, 0], "end": [1, 1, 1], "radius": 0.1}],
@@ -152,9 +121,13 @@ def test_everything_there_is_to_see_is_on_the_stage(server, shown):
         "/floor",
         "/robot/segment_0",
         "/robot/segment_1",
+        "/robot/segment_2",
         "/robot/joint_0",
         "/robot/joint_1",
-        "/bodies/bar",
+        "/robot/joint_2",
+        "/bodies/forearm",
+        "/bodies/shoulder",
+        "/regions/elbow",
         "/regions/end",
         "/obstacles/obstacle_0",
         "/obstacles/capsule_0",
@@ -163,8 +136,8 @@ def test_everything_there_is_to_see_is_on_the_stage(server, shown):
         "/paths/tip/traced",
         "/paths/tip/commanded_now",
         "/paths/tip/traced_now",
-        "/frames/turned/actual",
-        "/frames/turned/commanded",
+        "/frames/wrist/actual",
+        "/frames/wrist/commanded",
     }
     assert [chart.title for chart in server.charts] == [
         "λ, share of the filter",
@@ -175,30 +148,28 @@ def test_everything_there_is_to_see_is_on_the_stage(server, shown):
 
 
 @pytest.mark.parametrize("time", [0.0, 0.7, 1.99])
-def test_the_slider_moves_everything_to_its_moment(server, shown, rollouts, time):
+def test_the_slider_moves_everything_to_its_moment(server, shown, rollouts, small_arm_by_hand, time):
     shown.time.value = time
     shown.advance(0.0)
     rollout = rollouts[1]
     k = min(even_steps(rollout, 51), key=lambda step: abs(rollout.t[step] - time))
-    turn, lift = rollout.q[k]
-    way = np.array([np.cos(turn) * np.cos(lift), np.sin(turn) * np.cos(lift), -np.sin(lift)])
-    shoulder, tip = np.array([0, 0, 0.4]), np.array([0, 0, 0.4]) + 0.5 * way
+    (shoulder, elbow, tip), wrist = small_arm_by_hand(rollout.q[k], np.zeros(3))
     nodes = server.nodes
     np.testing.assert_allclose(nodes["/robot/joint_1"].position, shoulder, atol=1e-12)
-    np.testing.assert_allclose(nodes["/robot/segment_1"].position, 0.5 * (shoulder + tip), atol=1e-12)
-    np.testing.assert_allclose(nodes["/robot/segment_1"].scale, [1, 1, 0.5], atol=1e-12)
-    for name in ("/robot/segment_1", "/bodies/bar"):
+    np.testing.assert_allclose(nodes["/robot/segment_2"].position, 0.5 * (elbow + tip), atol=1e-12)
+    np.testing.assert_allclose(nodes["/robot/segment_2"].scale, [1, 1, 0.3], atol=1e-12)
+    for name in ("/robot/segment_2", "/bodies/forearm"):
         rotation = Rotation.from_quat(nodes[name].wxyz, scalar_first=True)
-        np.testing.assert_allclose(rotation.apply([0, 0, 1]), way, atol=1e-9)
+        np.testing.assert_allclose(0.3 * rotation.apply([0, 0, 1]), tip - elbow, atol=1e-9)
     np.testing.assert_allclose(nodes["/regions/end"].position, tip, atol=1e-12)
     np.testing.assert_allclose(nodes["/paths/tip/traced_now"].position, tip, atol=1e-12)
     angle = 2 * np.pi * rollout.t[k] / 8
     np.testing.assert_allclose(
         nodes["/paths/tip/commanded_now"].position, [0.5 * np.cos(angle), 0.5 * np.sin(angle), 0.4], atol=1e-12
     )
-    actual = Rotation.from_quat(nodes["/frames/turned/actual"].wxyz, scalar_first=True)
-    np.testing.assert_allclose(actual.apply([1, 0, 0]), way, atol=1e-9)
-    commanded = Rotation.from_quat(nodes["/frames/turned/commanded"].wxyz, scalar_first=True)
+    actual = Rotation.from_quat(nodes["/frames/wrist/actual"].wxyz, scalar_first=True)
+    np.testing.assert_allclose(actual.as_matrix(), wrist, atol=1e-9)
+    commanded = Rotation.from_quat(nodes["/frames/wrist/commanded"].wxyz, scalar_first=True)
     np.testing.assert_allclose(commanded.as_rotvec(), [0, 0, 0.785 * rollout.t[k]], atol=1e-9)
 
 

@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 
 from clikgen.runtime.scenario import CASES
+from clikgen.symbolic import planners
+from clikgen.symbolic.kinds import kinds_in
 
 # ---- Eqs. 13-19 ----
 
@@ -81,6 +83,21 @@ def test_lambda_is_lam_event_while_a_region_meets_an_obstacle_and_lam_free_other
     assert 1_000 < np.sum(active) < 9_000
     np.testing.assert_array_equal(outputs["lam"], np.where(active, values["lam_event"], values["lam_free"]))
     np.testing.assert_array_equal(active, np.any(outputs["distance"] <= values["influence_radius"], axis=1))
+
+
+@pytest.mark.parametrize("kind", kinds_in(planners))
+def test_every_planner_with_lambda_zero_is_the_law_alone_and_with_one_share_keeps_it(kind, evaluated, plane_arm):
+    arm = plane_arm([0.5, 0.4], points_of_interest=[{"name": "end", "link": "link1", "influence_radius": 0.3}])
+    tool = {"name": "tool", "kind": "frame_position", "frame": "tool", "gain": 4.0}
+    tried = evaluated(arm, tool, planner={"kind": kind}, obstacles={"maximum": 1})
+    q = np.random.default_rng(4).uniform(-2, 2, (500, 2))
+    given = {"tool_reference": np.array([0.4, 0.3]), "obstacle_count": 1.0, "obstacle_center": np.array([[0.6, 0.0]])}
+    for lam in (0.0, 0.7):
+        outputs = tried(q=q, lam_free=lam, lam_event=lam, **given)
+        assert 50 < np.sum(outputs["active"]) < 450
+        np.testing.assert_allclose(outputs["lam"], lam, rtol=1e-15, atol=0)
+        if lam == 0:
+            np.testing.assert_array_equal(outputs["q_next"], q + tried.period * outputs["dq_law"])
 
 
 @pytest.mark.parametrize("number", CASES)

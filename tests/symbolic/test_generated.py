@@ -159,10 +159,11 @@ def test_header_compiles_alone_without_a_warning(command, planar5_folder, tmp_pa
 
 
 @pytest.mark.parametrize("command", C_COMPILERS, ids=lambda command: command[0])
-def test_source_compiles_as_c99_without_a_warning(command, planar5_folder, tmp_path):
+@pytest.mark.parametrize("name", [path.stem for path in shipped_specs()])
+def test_source_compiles_as_c99_without_a_warning(command, name, tmp_path):
     # CasADi's calling convention has arguments that a function without memory does not use
-    flags = ["-std=c99", *WARNINGS, "-Wno-unused-parameter", "-c", "-o", str(tmp_path / "planar5.o")]
-    _expect_success([*command, *flags, str(planar5_folder / "planar5.c")])
+    flags = ["-std=c99", *WARNINGS, "-Wno-unused-parameter", "-c", "-o", str(tmp_path / f"{name}.o")]
+    _expect_success([*command, *flags, str(shipped_folder() / name / f"{name}.c")])
 
 
 def _expect_success(command):
@@ -226,6 +227,30 @@ def test_a_c_program_with_the_typed_structs_gets_the_numbers_that_python_gets(
     for name, array in expected.items():
         values = np.array([float.fromhex(value) for value in lines[name]]).reshape(array.shape)
         np.testing.assert_array_equal(values.view(np.uint64), array.view(np.uint64), err_msg=name)
+
+
+def test_a_c_program_gets_the_numbers_of_a_step_with_a_workspace_too(tmp_path):
+    """ur6 behind its table, so that the barrier acts: a program that may end early, with memory of its own."""
+    controller = CompiledController.load("ur6")
+    assert controller.step.info.sz_w > 0
+    q = np.array([0.3, 0.4, 0.5, -1.0, 0.2, 0.0])
+    expected = controller.step(q=q)
+    assert expected["barrier_steps"] >= 1
+    assignments = [f"  input.q[{i}] = {float(value).hex()};" for i, value in enumerate(q)]
+    prints = [
+        f'  print("{name}", (const double *)&output.{name}, sizeof output.{name} / sizeof(double));'
+        for name in controller.step.outputs
+    ]
+    text = MAIN.replace("ASSIGNMENTS", "\n".join(assignments)).replace("PRINTS", "\n".join(prints))
+    main, folder = tmp_path / "main.c", shipped_folder() / "ur6"
+    main.write_text(text.replace("planar5", "ur6").replace("PLANAR5", "UR6"))
+    flags = [flag for flag in FLAGS if flag not in ("-shared", "-fPIC")]
+    program, sources = str(tmp_path / "main"), [str(main), str(folder / "ur6.c")]
+    _expect_success([*find_compiler().command, *flags, f"-I{folder}", "-o", program, *sources, "-lm"])
+    printed = subprocess.run([program], capture_output=True, text=True, check=True).stdout
+    for name, *values in map(str.split, printed.splitlines()):
+        numbers = np.array([float.fromhex(value) for value in values]).reshape(expected[name].shape)
+        np.testing.assert_array_equal(numbers.view(np.uint64), expected[name].view(np.uint64), err_msg=name)
 
 
 def test_every_default_of_the_manifest_is_what_defaults_sets(planar5, planar5_folder, tmp_path):

@@ -211,7 +211,7 @@ def test_a_controller_has_the_signals_of_the_kinds_it_can_hold(dimension):
     def names(**capacity):
         return [info.name for info in Field(dimension, **capacity).infos]
 
-    assert names(maximum=2) == ["obstacle_center", "obstacle_radius", "obstacle_count"]
+    assert names(maximum=2) == ["obstacle_center", "obstacle_radius", "obstacle_count", "obstacle_velocity"]
     assert names(capsules=1) == ["capsule_start", "capsule_end", "capsule_radius", "capsule_count"]
     assert names(half_spaces=1) == ["half_space_normal", "half_space_offset", "half_space_count"]
     assert not ObstacleCapacity().any
@@ -226,7 +226,8 @@ def wary(plane_arm, evaluated):
         {"name": "hand", "link": "link2", "offset": [0.3, 0, 0], "influence_radius": 0.15},
     ]
     robot = plane_arm([0.5, 0.4, 0.3], points_of_interest=points)
-    avoid = {"name": "obstacles", "kind": "obstacle_avoidance", "gain": 100.0, "damping": 1e-6}
+    switched = {"kind": "switched", "gain": 100.0, "damping": 1e-6}
+    avoid = {"name": "obstacles", "kind": "obstacle_avoidance", "activation": switched}
     goal = {"name": "tool", "kind": "frame_position", "frame": "tool", "gain": 3.0}
     capacity = {"maximum": 0, "capsules": 1, "half_spaces": 1}
     return evaluated(robot, avoid, goal, obstacles=capacity, period=0.002)

@@ -5,15 +5,14 @@ import pytest
 
 from clikgen.runtime.documents import BadInput
 
+SWITCHED = {"kind": "switched", "gain": 50.0, "damping": 1e-6}
 KINDS = {
-    "obstacle_avoidance": {"gain": 50.0, "damping": 1e-6},
+    "obstacle_avoidance": {},
     "workspace_walls": {
-        "gain": 50.0,
-        "damping": 1e-6,
         "margin": 0.2,
         "walls": [{"normal": [0.0, 1.0], "offset": -0.2}, {"normal": [1.0, 0.0], "offset": 0.1}],
     },
-    "self_collision": {"gain": 50.0, "damping": 1e-6, "margin": 0.6, "pairs": [["b0", "b2"], ["b0", "b3"]]},
+    "self_collision": {"margin": 0.6, "pairs": [["b0", "b2"], ["b0", "b3"]]},
 }
 
 
@@ -29,7 +28,7 @@ def arm(plane_arm):
 
 def build(evaluated, arm, kind, combine, **more):
     obstacles = {"maximum": 2} if kind == "obstacle_avoidance" else {}
-    task = {"name": "away", "kind": kind, "combine": combine} | KINDS[kind]
+    task = {"name": "away", "kind": kind, "activation": SWITCHED | {"combine": combine}} | KINDS[kind]
     return evaluated(arm, task, obstacles=obstacles, **more)
 
 
@@ -71,9 +70,11 @@ def test_each_row_is_the_derivative_of_its_potential(evaluated, arm, kind):
 def test_rows_hold_several_contacts_at_once_and_the_sum_lets_them_in_and_jumps(evaluated, arm, combine, held):
     """A snake whose tool is drawn along and through a wall lays two of its points against it."""
     wall = {"normal": [0.0, 1.0], "offset": -0.15}
-    room = {"name": "room", "kind": "workspace_walls", "walls": [wall], "margin": 0.1, "gain": 50.0, "damping": 1e-6}
+    room = {"name": "room", "kind": "workspace_walls", "walls": [wall], "margin": 0.1}
     goal = {"name": "tool", "kind": "frame_position", "frame": "tool", "gain": 4.0, "speed": 1.0}
-    controller = evaluated(arm, room | {"combine": combine}, goal, law="augmented", period=0.002)
+    controller = evaluated(
+        arm, room | {"activation": SWITCHED | {"combine": combine}}, goal, law="augmented", period=0.002
+    )
     _, outputs = controller.run(3000, [0.2, -0.3, 0.3, -0.2], tool_reference=np.array([-0.9, -0.5]))
     distance = outputs["room_distance"][:, 0]
     assert np.max(np.count_nonzero(distance < 0.1, axis=1)) > 1
@@ -92,7 +93,8 @@ def test_an_unknown_way_to_combine_names_the_choices(evaluated, arm):
 def test_a_tool_that_was_pressed_against_a_wall_leaves_it_when_it_is_called_back(evaluated, arm, law):
     """The projector holds both ways of a direction; that it fades with the depth is what lets go."""
     wall = {"normal": [0.0, 1.0], "offset": -0.15}
-    room = {"name": "room", "kind": "workspace_walls", "walls": [wall], "margin": 0.1, "gain": 50.0, "damping": 1e-4}
+    faded = SWITCHED | {"damping": 1e-4, "combine": "rows"}
+    room = {"name": "room", "kind": "workspace_walls", "walls": [wall], "margin": 0.1, "activation": faded}
     goal = {"name": "tool", "kind": "frame_position", "frame": "tool", "gain": 4.0, "speed": 1.0}
     controller = evaluated(arm, room, goal, law=law, period=0.002)
 

@@ -5,7 +5,8 @@ import pytest
 
 from clikgen.runtime.documents import BadInput
 
-STOPS = {"name": "stops", "kind": "joint_limits", "margin": 0.1, "gain": 50.0, "damping": 1e-3}
+SWITCHED = {"kind": "switched", "gain": 50.0, "damping": 1e-3, "combine": "rows"}
+STOPS = {"name": "stops", "kind": "joint_limits", "margin": 0.1, "activation": SWITCHED}
 REST = {"name": "rest", "kind": "posture", "gain": 5.0}
 
 
@@ -88,7 +89,7 @@ def test_a_constant_push_is_held_at_the_depth_where_damping_and_gain_balance(eva
     """Law nsb: x = (2 d² v/K)^⅓, the depth at which K x³/2 = d² v."""
     for d, v in ((1e-2, 1.0), (3e-2, 0.5), (3e-2, 2.0)):
         push = REST | {"gain": 1.0, "posture": [1.9 + v, -0.5, 0.0, 0.3]}
-        controller = evaluated(arm, STOPS | {"damping": d}, push, period=0.001)
+        controller = evaluated(arm, STOPS | {"activation": SWITCHED | {"damping": d}}, push, period=0.001)
         path, outputs = controller.run(8000, [1.8, -0.5, 0.0, 0.3])
         x = outputs["stops_depth"][-1, 0]
         # the push is v − x
@@ -100,14 +101,14 @@ def test_one_row_a_joint_holds_what_one_sum_would_let_slide(evaluated, arm):
     """Two joints as deep in their margins, one pushed on and one back: a sum's row (x, x) is blind to (1, −1)."""
     q = np.array([1.95, 0.45, 0.0, 0.3])
     push = REST | {"posture": [11.95, -9.55, 0.0, 0.3], "gain": 1.0}
-    velocity = evaluated(arm, STOPS | {"damping": 1e-6}, push)(q=q)["dq_law"]
+    velocity = evaluated(arm, STOPS | {"activation": SWITCHED | {"damping": 1e-6}}, push)(q=q)["dq_law"]
     # each goes back by its own row, −K x/2; of the push of ±10 the share (1e-6/0.05)² = 4e-10 passes
     np.testing.assert_allclose(velocity[:2], [-50 * 0.05 / 2] * 2, rtol=0, atol=1e-8)
 
 
 @pytest.mark.parametrize("law", ["nsb", "augmented"])
 def test_a_joint_beyond_its_limit_comes_back(evaluated, arm, law):
-    controller = evaluated(arm, STOPS | {"damping": 1e-6}, law=law)
+    controller = evaluated(arm, STOPS | {"activation": SWITCHED | {"damping": 1e-6}}, law=law)
     path, outputs = controller.run(1000, [2.7, -2.9, 1.0, -0.4])
     # the depth shrinks by 1 − K T/2 = 0.75 a step until it is near the damping
     depth = np.array([0.8, 1.0, 0.5])

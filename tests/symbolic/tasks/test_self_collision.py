@@ -6,7 +6,8 @@ from scipy.optimize import lsq_linear
 
 from clikgen.runtime.documents import BadInput
 
-GAP = {"name": "apart", "kind": "self_collision", "margin": 0.1, "gain": 100.0, "damping": 1e-6}
+SWITCHED = {"kind": "switched", "gain": 100.0, "damping": 1e-6, "combine": "rows"}
+GAP = {"name": "apart", "kind": "self_collision", "margin": 0.1, "activation": SWITCHED}
 
 
 @pytest.fixture(scope="module")
@@ -59,7 +60,7 @@ def test_distance_equals_a_bounded_least_squares_solver_s(evaluated, bodied, pai
 
 @pytest.mark.parametrize("pair", [["b1", "b5"], ["b0", "b4"], ["b4", "b2"], ["b3", "b6"]])
 def test_task_jacobian_is_the_derivative_of_the_potential(evaluated, bodied, pair):
-    controller = evaluated(bodied, GAP | {"pairs": [pair], "margin": 1.0, "combine": "sum"})
+    controller = evaluated(bodied, GAP | {"pairs": [pair], "margin": 1.0, "activation": SWITCHED | {"combine": "sum"}})
     q = np.random.default_rng(1).uniform(-2, 2, (600, 7))
     distance = controller(q=q)["apart_distance"][:, 0]
     # away from the boundary and from axes that meet: there the curvature of d, up to 1/(d + radii), steps or ends
@@ -74,7 +75,9 @@ def test_task_jacobian_is_the_derivative_of_the_potential(evaluated, bodied, pai
 
 def test_potential_sums_over_the_pairs(evaluated, bodied):
     pairs, margins = [["b1", "b5"], ["b0", "b4"], ["b2", "b6"]], np.array([0.3, 0.5, 0.4])
-    controller = evaluated(bodied, GAP | {"pairs": pairs, "margin": margins.tolist(), "combine": "sum"})
+    controller = evaluated(
+        bodied, GAP | {"pairs": pairs, "margin": margins.tolist(), "activation": SWITCHED | {"combine": "sum"}}
+    )
     q = np.random.default_rng(2).uniform(-2, 2, (200, 7))
     outputs = controller(q=q)
     depth = np.maximum(margins - outputs["apart_distance"], 0)
@@ -139,7 +142,7 @@ def test_arm_that_would_fold_through_itself_keeps_the_margin(evaluated, claw, la
 
 
 def test_two_bodies_inside_the_margin_part(evaluated, claw):
-    controller = evaluated(claw, GAP | {"pairs": [["bone0", "bone3"]], "gain": 20.0})
+    controller = evaluated(claw, GAP | {"pairs": [["bone0", "bone3"]], "activation": SWITCHED | {"gain": 20.0}})
     _, outputs = controller.run(3000, [0.0, 2.0, 1.6, 0.8])
     distance = outputs["apart_distance"][:, 0]
     assert 0 < distance[0] < 0.07
@@ -159,7 +162,7 @@ def test_bodies_whose_centres_coincide_are_pushed_along_x(evaluated, plane_arm):
         ],
         "bodies": [{"name": name, "link": f"l{name}", "radius": 0.1} for name in "ab"],
     }
-    outputs = evaluated(robot, GAP | {"gain": 10.0})(q=np.zeros(2))
+    outputs = evaluated(robot, GAP | {"activation": SWITCHED | {"gain": 10.0}})(q=np.zeros(2))
     assert outputs["apart_distance"][0] == -0.2
     # x = 0.3, J = x (1, −1): each slides at K x/2 · 1/2
     np.testing.assert_allclose(outputs["dq_law"], [-0.75, 0.75], rtol=1e-9, atol=0)

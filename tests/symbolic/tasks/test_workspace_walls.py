@@ -5,7 +5,8 @@ import pytest
 
 from clikgen.runtime.documents import BadInput
 
-WALLS = {"name": "room", "kind": "workspace_walls", "margin": 0.1, "gain": 50.0, "damping": 1e-6}
+SWITCHED = {"kind": "switched", "gain": 50.0, "damping": 1e-6, "combine": "rows"}
+WALLS = {"name": "room", "kind": "workspace_walls", "margin": 0.1, "activation": SWITCHED}
 FLOOR = {"normal": [0.0, 0.0, 1.0], "offset": -0.5}
 SLOPE = {"normal": [0.6, -0.8, 0.0], "offset": -0.7}
 
@@ -27,7 +28,7 @@ def planar(plane_arm):
 
 
 def test_distances_are_those_of_the_points_to_the_walls(evaluated, pointed):
-    controller = evaluated(pointed, WALLS | {"walls": [FLOOR, SLOPE], "combine": "sum"})
+    controller = evaluated(pointed, WALLS | {"walls": [FLOOR, SLOPE], "activation": SWITCHED | {"combine": "sum"}})
     q = np.random.default_rng(0).uniform(-2, 2, (200, 7))
     points = controller("kinematics", q=q)["point_position"]
     expected = np.stack([points[..., 2] + 0.5, points @ [0.6, -0.8, 0.0] + 0.7], axis=1)  # a row a wall
@@ -48,7 +49,9 @@ def test_frames_take_the_place_of_the_points_of_interest(evaluated, pointed):
 
 
 def test_task_jacobian_is_the_derivative_of_the_potential(evaluated, pointed):
-    controller = evaluated(pointed, WALLS | {"walls": [FLOOR, SLOPE], "margin": [0.5, 0.6], "combine": "sum"})
+    controller = evaluated(
+        pointed, WALLS | {"walls": [FLOOR, SLOPE], "margin": [0.5, 0.6], "activation": SWITCHED | {"combine": "sum"}}
+    )
     q = np.random.default_rng(2).uniform(-2, 2, (500, 7))
     J = controller("jacobians", q=q)["room_jacobian"]
     assert np.sum(np.any(J != 0, axis=1)) > 100
@@ -79,7 +82,9 @@ def test_a_tool_drawn_through_a_wall_stays_before_it(evaluated, planar, law):
 
 
 def test_a_point_behind_a_wall_comes_back(evaluated, planar):
-    controller = evaluated(planar, WALLS | {"walls": [{"normal": [0.0, 1.0], "offset": 0.3}], "gain": 20.0})
+    controller = evaluated(
+        planar, WALLS | {"walls": [{"normal": [0.0, 1.0], "offset": 0.3}], "activation": SWITCHED | {"gain": 20.0}}
+    )
     _, outputs = controller.run(2000, [0.2, 0.0, 0.0])
     distance = outputs["room_distance"][:, 0, 0]
     assert distance[0] < -0.2
@@ -89,7 +94,9 @@ def test_a_point_behind_a_wall_comes_back(evaluated, planar):
 
 
 def test_walls_can_move_while_it_runs(evaluated, planar):
-    controller = evaluated(planar, WALLS | {"walls": [{"normal": [0.0, 1.0], "offset": -1.0}], "gain": 20.0})
+    controller = evaluated(
+        planar, WALLS | {"walls": [{"normal": [0.0, 1.0], "offset": -1.0}], "activation": SWITCHED | {"gain": 20.0}}
+    )
     infos = controller.infos()
     assert infos["room_normal"].default == (0.0, 1.0)
     assert infos["room_offset"].default == (-1.0,)
@@ -118,7 +125,10 @@ def test_random_and_degenerate_states_step_to_finite_ones(evaluated, pointed):
             {"walls": [{"normal": [0.0, 1.0], "offset": 0.0}]},
             "task 'room': wanted normals of 3 numbers, got .0.0, 1.0.",
         ),
-        ({"walls": [{"normal": [0.0, 1.0, 1.0], "offset": 0.0}]}, "wanted normal to be a unit vector"),
+        (
+            {"walls": [{"normal": [0.0, 1.0, 1.0], "offset": 0.0}]},
+            r"walls\.0\.normal: wanted a unit vector, got \[0\.0, 1\.0, 1\.0\]$",
+        ),
         ({"walls": []}, "walls"),
         ({"walls": [FLOOR], "frames": ["tol"]}, "no frame 'tol'; did you mean 'tool'"),
         ({"walls": [FLOOR], "margin": [0.1, 0.2]}, r"room_margin: wanted shape \(1,\), got \(2,\)"),

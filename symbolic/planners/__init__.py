@@ -1,0 +1,1 @@
+"""One planner a file: its class `Spec` is the table `[planner]` of a spec file."""

@@ -1,0 +1,34 @@
+"""The paper's planner: λ jumps when an influence region meets an obstacle (eqs. 16-18)."""
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any, Literal
+
+import casadi as ca
+
+from clikgen.symbolic.planner import Motion, Plan, PlannerSpec
+
+if TYPE_CHECKING:
+    from clikgen.symbolic.filters.first_order import Spec as AnyFilter
+
+
+class Spec(PlannerSpec):
+    """λ = lam_event while 𝓘 ∩ 𝓞 ≠ ∅ and lam_free otherwise, eq. 18; q_{i−1} of eq. 16 is where the period begins.
+
+    That scales every velocity by 1 − λ(1 − β): where λ jumps so does the velocity, and at λ = 1 a ramp at v is
+    followed with the lag v/(2π f_c K T).
+    """
+
+    kind: Literal["event"] = "event"
+
+    def build(self, motion: Motion, chosen: "AnyFilter") -> Plan:
+        """Eqs. 16, 18 and 17, in this order."""
+        free, at_event = self.shares()
+        q_filtered, filter_inputs = motion.filtered(chosen, q_previous=motion.q)  # eq. 16
+        lam = ca.if_else(motion.event, at_event.expression, free.expression)  # eq. 18
+        q_next = lam * q_filtered + (1 - lam) * motion.q_raw  # eq. 17
+        return Plan(q_next, lam, (*filter_inputs, free, at_event))
+
+
+def by_default(table: Any) -> Any:
+    """A table that names no kind, read as the paper's; anything else as it is."""
+    return Spec.model_validate(table) if isinstance(table, Mapping) and "kind" not in table else table
