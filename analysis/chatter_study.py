@@ -47,8 +47,9 @@ def _switched_study(controller: CompiledController, scenario: Scenario, source: 
     """Every encounter measured; where one point is in contact, and sensed as it is, also predicted.
 
     An encounter is compared in stretches of WINDOW samples, along which the normal map hardly changes, or of CYCLES
-    cycles where these are longer.
+    cycles where these are longer. The theory speaks of the planner `event`.
     """
+    controller.manifest.check_planner("event")
     rollouts = {number: prepare(controller, scenario, case, source).in_c() for number, case in CASES.items()}
     for number, rollout in rollouts.items():
         if rollout.diverged is not None:

@@ -71,9 +71,10 @@ TRIALS = (
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Result:
-    """What a law did in a trial, and which joints oscillated."""
+    """What a law did in a trial, the same without anything to keep off, and which joints oscillated."""
 
     compared: Compared
+    free: Rollout
     oscillating: Sequence[Oscillation]
     intrusions: Sequence[Intrusion]
 
@@ -112,18 +113,19 @@ class Workshop:
         return self.done[key]
 
 
-def tried(trial: Trial, workshop: Workshop) -> dict[str, Result]:
+def tried(trial: Trial, workshop: Workshop, laws: Sequence[Law] = tuple(LAWS.values())) -> dict[str, Result]:
     """Every law's result, by its name."""
     scenario = read_scenario(find_scenario(trial.scenario), trial.settings)
     spec = read_spec({path.stem: path for path in shipped_specs()}[scenario.controller])
     own = workshop.compiled(spec)
-    controllers = {law: workshop.compiled(variant(spec, law)) for law in LAWS.values()}
+    controllers = {law: workshop.compiled(variant(spec, law)) for law in laws}
     free = free_run(workshop.compiled(without_one_sided_tasks(spec)), scenario)
     compared = compare(controllers, own.manifest, scenario, ())
     found = intrusions(compared)
     return {
         each.law.name: Result(
             each,
+            free,
             oscillations(each.rollout.before_divergence(), free, scenario.metrics.dead_band),
             [one for one in found if one.law == each.law.name],
         )
@@ -151,6 +153,7 @@ def document(results: Mapping[Trial, Mapping[str, Result]]) -> dict:
         trial.title: {
             name: {
                 **metrics(one.compared.rollout).as_dict(),
+                "free": {key: metrics(one.free).as_dict()[key] for key in ("hf_rms", "total_variation")},
                 "oscillating": [each.joint for each in one.oscillating],
                 "deepest_intrusion": max((each.depth for each in one.intrusions), default=0.0),
                 "barrier": barrier_diagnostics(one.compared.rollout),
@@ -213,10 +216,13 @@ In mm (mrad at joints); – for none deeper than a micrometre.
 In mm.
 
 {table(lambda one: f"{1e3 * metrics(one.compared.rollout).tracking_rms:.3g}")}
-## What the barrier says of itself
+## What the barrier adds, and what it says of itself
 
-| scenario | largest violation of a row | steps in which not all rows could be kept | most steps of the program |
-|---|---|---|---|
+The free run has the same reference and nothing to keep off: its share is what no law can take away. Then the largest
+violation of a row [m/s, rad/s], the periods with one, and the most steps of the quadratic program in a period.
+
+| scenario | total_variation | its share | hf_rms | its share | largest violation | steps with one | most steps |
+|---|---|---|---|---|---|---|---|
 {"".join(_diagnostics(trial, laws["barrier"]) for trial, laws in results.items())}"""
 
 
@@ -227,7 +233,12 @@ def _deepest(found: Sequence[Intrusion]) -> str:
 
 def _diagnostics(trial: Trial, one: Result) -> str:
     says = barrier_diagnostics(one.compared.rollout) or {}
-    return f"| {trial.title} | {says['excess']:.2g} | {says['infeasible']} | {says['most_steps']} |\n"
+    ours, free = metrics(one.compared.rollout), metrics(one.free)
+    return (
+        f"| {trial.title} | {ours.total_variation:.3g} | {free.total_variation / ours.total_variation:.0%} "
+        f"| {ours.hf_rms:.2g} | {free.hf_rms / ours.hf_rms:.0%} "
+        f"| {says['excess']:.2g} | {says['infeasible']} | {says['most_steps']} |\n"
+    )
 
 
 def picture(results: Mapping[Trial, Mapping[str, Result]]) -> Figure:

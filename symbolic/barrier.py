@@ -7,8 +7,10 @@ With u₀ the velocity of the tasks that hold always, in their order of priority
 M says what a change costs: M = N + ε² (I − N), with N = I − Jᵀ(J Jᵀ + μ²I)⁻¹ J the damped null-space projector of the
 first task; the next one splits N in the same way, with a greater ε. A change along the rows of the first task costs
 1/ε² as much as one in its null space: a contact that null-space motion can clear costs next to no tracking, one that
-it cannot is kept by the least joint velocity. M is positive definite, so the solution is unique, and continuous in
-all it depends on, through every singularity. For one contact j: u = u₀ − M j max(0, excess)/(jᵀ M j).
+it cannot is kept by the least joint velocity. For one contact j: u = u₀ − M j max(0, excess)/(jᵀ M j).
+M is positive definite, so the solution is unique, and continuous in all it depends on, through every singularity of
+the tasks. What is not continuous: a contact already entered that the joints hardly move (|j| → 0) asks for all that
+the limits give.
 """
 
 from collections.abc import Sequence

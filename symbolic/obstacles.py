@@ -213,11 +213,14 @@ def _for_each_place(name: str, what: Callable[[Shapes, ca.SX], list[ca.SX]], sha
     """A function of shapes and place, called in a loop over the `places` (dimension, points)."""
     dimension, points = places.shape
     place, others = ca.SX.sym("place", dimension), shapes.symbols()
-    function = ca.Function(name, [place, *others.arrays], ca.cse(what(others, place)))
-    shared = list(range(1, 1 + len(shapes.arrays)))  # the same for every point
+    outputs = ca.cse(what(others, place))
+    both = zip(shapes.arrays, others.arrays, strict=True)
+    used = [(given, own) for given, own in both if ca.depends_on(ca.veccat(*outputs), ca.vec(own))]
+    function = ca.Function(name, [place, *(own for _, own in used)], outputs)
+    shared = list(range(1, 1 + len(used)))  # the same for every point
     return Stage(
         symbols=tuple(ca.SX.sym(name, function.size1_out(i), points) for i in range(function.n_out())),
-        arguments=(places, *shapes.arrays),
+        arguments=(places, *(given for given, _ in used)),
         run=lambda values: list(function.map(f"{name}_to_each", "serial", points, shared, [])(*values)),
         instructions=points * function.n_instructions(),
     )

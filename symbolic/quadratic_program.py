@@ -6,12 +6,12 @@ multiplier would turn negative; the dual objective grows with every step, so no 
 product of a matrix with a vector and one symmetric rank-one update, straight-line code of a size that depends on the
 dimensions alone; steps are chained by calls that stop at the optimum.
 
-Why this one: a row held costs one step, whatever the method knew before, and it takes next to no others. On random
-states with rows held, planar5 holds 1.9 of 23 rows in 2.4 steps on average (at most 12), a mobile manipulator 2.6 of
-28 in 2.9 (at most 18); along a path steps are the rows held. So a warm start could save a fifth of the steps at
-random states and nothing in a loop, for a state more to carry: there is none. Sweeps over the dual (Hildreth) are as
-cheap each but converge linearly, far from 1e-8 where rows are nearly parallel; an interior point takes some ten
-factorisations whether or not a row is violated, and most periods none is.
+Why this one, as measured on random feasible states in which rows are held: planar5 holds 1.9 of its 18 rows in 2.4
+steps on average, a mobile manipulator 2.6 of 28 in 2.9; the most were 21 of 100,000 states and 26 of 10,000 (41 where
+rows contradict each other); along a path steps are the rows held. A row costs a step whatever is known before, so a
+warm start could save a fifth of the steps at random states and nothing in a loop, for a state more to carry: there is
+none. Sweeps over the dual (Hildreth) reach 1e-8 after 5 and 14 sweeps in the median, but not after 1,400 and 2,100 in
+one state of ten.
 """
 
 from collections.abc import Sequence

@@ -14,7 +14,8 @@ from clikgen.symbolic.tree import KinematicTree
 class Spec(OneSidedSpec):
     """Every point of interest keeps its influence radius s from the obstacles: x = s − d where d <= s, else 0.
 
-    The contact of a point is with its closest obstacle; the barrier watches all obstacles at once.
+    The contact of a point is with its closest obstacle, so inside two regions at once all activations but the barrier
+    jump where the closest one changes; the barrier watches all obstacles, or the five closest ones of more.
     """
 
     kind: Literal["obstacle_avoidance"]

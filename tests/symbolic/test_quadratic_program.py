@@ -20,7 +20,7 @@ from clikgen.symbolic.quadratic_program import FIRM, MOST_STEPS, SPARE, Program,
 from clikgen.symbolic.spec import read_spec, shipped_specs
 
 STATES = int(os.environ.get("CLIKGEN_STATES", "2000"))
-AGREEMENT = 1e-8  # the worst of 10⁵ states is 1.4e-9: two refinements leave that much of the slack's bias
+AGREEMENT = 1e-8  # the worst of 110,000 states is 3e-9: two refinements leave that much of the slack's bias
 FEASIBLE = 1e-8  # [m/s, rad/s] what a feasible program may be violated by, as `barrier_row` has it
 RELAXED = 3e-4  # of contradicting rows the least squares are known to rounding over the slack, 1e-16 / 1e-11, times 30
 SIZES = [(1, 1, False), (1, 5, True), (2, 3, False), (3, 0, True), (5, 18, False), (5, 18, True), (10, 18, True)]
