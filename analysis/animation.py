@@ -1,4 +1,4 @@
-"""One film of all cases: the robots, their influence regions, what they trace, and λ over time."""
+"""A film of some rollouts side by side: the robots, their influence regions, what they trace, and signals over time."""
 
 import io
 import subprocess
@@ -45,8 +45,17 @@ WIDE = 2.5  # scenes at least this much wider than high stand above each other, 
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class Shown:
+    """A rollout in a film, the controller that made it, and its title."""
+
+    title: str
+    controller: CompiledController
+    rollout: Rollout
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class _Panel:
-    """A case: what is known of it at every frame, and the shapes that move."""
+    """A rollout: what is known of it at every frame, and the shapes that move."""
 
     rollout: Rollout
     steps: Sequence[int]  # frame -> step
@@ -98,64 +107,66 @@ def animate(
     check_film(path)
     drawing.require_drawable(rollouts)
     progress(str(path))
+    cases = [Shown(f"Case {n}: {rollout.title}", controller, rollout) for n, rollout in rollouts.items()]
     with mpl.rc_context(STYLE):
-        figure, panels, clock = _stage(rollouts, controller, frames)
-        write_film(path, _painter(figure, panels, clock), len(panels[0].steps))
+        film(cases, path, frames, lam=True)
 
 
-def _stage(
-    rollouts: Mapping[int, Rollout], controller: CompiledController, frames: int
-) -> tuple[Figure, list[_Panel], Text]:
-    """The figure with all that rests, a panel per case, and the text that tells the time."""
-    every = list(rollouts.values())
-    steps = np.unique(np.linspace(0, len(every[0].t) - 1, max(frames, 2)).astype(int)).tolist()
-    poses = {number: drawing.poses(controller, rollout, steps) for number, rollout in rollouts.items()}
+def film(shown: Sequence[Shown], path: Path, frames: int, *, lam: bool) -> None:
+    """Write a film of rollouts of one scenario, with their velocities, and with λ over time where `lam` says so."""
+    steps = np.unique(np.linspace(0, len(shown[0].rollout.t) - 1, max(frames, 2)).astype(int)).tolist()
+    figure, panels, clock = _stage(shown, steps, lam)
+    write_film(path, _painter(figure, panels, clock), len(steps))
+
+
+def _stage(shown: Sequence[Shown], steps: Sequence[int], lam: bool) -> tuple[Figure, list[_Panel], Text]:
+    """The figure with all that rests, a panel per rollout, and the text that tells the time."""
+    every = [one.rollout for one in shown]
+    poses = [drawing.poses(one.controller, one.rollout, list(steps)) for one in shown]
     radii = drawing.influence_radii(every[0])
-    scene = drawing.extent(every, places=[robot.places(radii) for robot in poses.values()])
-    figure, places = _layout(len(rollouts), scene.aspect)
-    panels = [
-        _panel(places[i], rollouts, rollout, steps, poses[number], scene)
-        for i, (number, rollout) in enumerate(rollouts.items())
-    ]
-    for axes in (axes for above in places[:-1] for axes in above if scene.aspect > WIDE):
+    extent = drawing.extent(every, places=[robot.places(radii) for robot in poses])
+    figure, places = _layout(len(shown), extent.aspect, lam)
+    joints = drawing.telling_joints(dict(enumerate(every)))
+    limits = drawing.value_range([each.dq[:, joints] for each in every])
+    panels = []
+    for (scene, velocity, *below), one, robot in zip(places, shown, poses, strict=True):
+        extent.apply(scene)
+        scene.set(xlabel="$x$ [m]", ylabel="$y$ [m]")
+        scene.set_title(one.title, loc="left", fontweight="bold")
+        _velocities(velocity, one.rollout, joints, limits)
+        for axes in below:
+            velocity.tick_params(labelbottom=False)
+            _lam(axes, one.rollout)
+        (below[0] if below else velocity).set_xlabel("$t$ [s]")
+        panels.append(_panel(scene, [velocity, *below], one.rollout, steps, robot))
+    for axes in (axes for above in places[:-1] for axes in above if extent.aspect > WIDE):
         axes.tick_params(labelbottom=False)
         axes.set_xlabel("")
     clock = figure.suptitle("t = 0.00 s", x=0.99, ha="right", fontsize=12)
-    entries = _entries(every[0], drawing.telling_joints(rollouts))
-    figure.legend(handles=entries, loc="outside lower center", ncols=4)
+    figure.legend(handles=_entries(every[0], joints, lam), loc="outside lower center", ncols=4)
     return figure, panels, clock
 
 
-def _layout(cases: int, aspect: float) -> tuple[Figure, list[list[Axes]]]:
-    """An empty figure, and per case its axes: scene, velocity and λ, the latter two beside or below the scene."""
+def _layout(count: int, aspect: float, lam: bool) -> tuple[Figure, list[list[Axes]]]:
+    """An empty figure, and per rollout its axes: scene, velocity and maybe λ, the latter beside or below the scene."""
+    strips = [2.0, 1.0] if lam else [1.0]
     if aspect > WIDE:
-        figure = Figure(figsize=(9.6, 1.3 + cases * (0.35 + 6.0 / aspect)), dpi=DPI, layout="constrained")
-        grid = figure.add_gridspec(2 * cases, 2, width_ratios=[6.0, 3.2], height_ratios=[2.0, 1.0] * cases)
-        parts = [(grid[2 * i : 2 * i + 2, 0], grid[2 * i, 1], grid[2 * i + 1, 1]) for i in range(cases)]
+        figure = Figure(figsize=(9.6, 1.3 + count * (0.35 + 6.0 / aspect)), dpi=DPI, layout="constrained")
+        k = len(strips)
+        grid = figure.add_gridspec(k * count, 2, width_ratios=[6.0, 3.2], height_ratios=strips * count)
+        parts = [[grid[k * i : k * i + k, 0], *(grid[k * i + j, 1] for j in range(k))] for i in range(count)]
     else:
-        scene = min(10.0 / cases / aspect, 5.0)
-        figure = Figure(figsize=(10.8, 3.2 + scene), dpi=DPI, layout="constrained")
-        grid = figure.add_gridspec(3, cases, height_ratios=[scene, 0.9, 0.45])
-        parts = [(grid[0, i], grid[1, i], grid[2, i]) for i in range(cases)]
-    return figure, [[figure.add_subplot(part) for part in three] for three in parts]
+        scene = min(10.0 / count / aspect, 5.0)
+        figure = Figure(figsize=(10.8, 2.75 + 0.45 * len(strips) / 2 + scene), dpi=DPI, layout="constrained")
+        heights = [scene, *(0.45 * strip for strip in strips)] if lam else [scene, 1.0]
+        grid = figure.add_gridspec(len(heights), count, height_ratios=heights)
+        parts = [[grid[j, i] for j in range(len(heights))] for i in range(count)]
+    return figure, [[figure.add_subplot(part) for part in one] for one in parts]
 
 
-def _panel(
-    places: Sequence[Axes],
-    rollouts: Mapping[int, Rollout],
-    rollout: Rollout,
-    steps: Sequence[int],
-    poses: drawing.Poses,
-    extent: drawing.Extent,
-) -> _Panel:
-    """A case in its axes, with the shapes that will move."""
-    scene, velocity, lam = places
-    extent.apply(scene)
-    scene.set(xlabel="$x$ [m]", ylabel="$y$ [m]")
-    scene.set_title(f"Case {rollout.case.number}: {rollout.title}", loc="left", fontweight="bold")
+def _panel(scene: Axes, strips: Sequence[Axes], rollout: Rollout, steps: Sequence[int], poses: drawing.Poses) -> _Panel:
+    """The shapes that will move, in the scene and over the strips of signals."""
     scene.plot(*rollout.reference[:, :2].T, color=COMMANDED, linestyle=(0, (5, 3)), linewidth=1.0)
-    _velocities(velocity, rollouts, rollout)
-    _lam(lam, rollout)
     radii = drawing.influence_radii(rollout)
     regions = PolyCollection([], linewidths=0.8)
     scene.add_collection(regions, autolim=False)
@@ -171,7 +182,7 @@ def _panel(
         obstacles=drawing.add_obstacles(scene, rollout.obstacle_center[0], rollout.obstacle_radius),
         trace=scene.plot([], [], color=TRACED, linewidth=1.6)[0],
         target=scene.plot([], [], **_TARGET)[0],
-        curtains=tuple(_curtain(axes, rollout) for axes in (velocity, lam)),
+        curtains=tuple(_curtain(axes, rollout) for axes in strips),
     )
 
 
@@ -187,19 +198,16 @@ def _contact(rollout: Rollout, radii: Array, steps: Sequence[int]) -> NDArray[np
     return np.array([touching[b + 1 : k + 1].any(axis=0) for b, k in zip(before, steps, strict=True)])
 
 
-def _velocities(axes: Axes, rollouts: Mapping[int, Rollout], rollout: Rollout) -> None:
-    joints = drawing.telling_joints(rollouts)
+def _velocities(axes: Axes, rollout: Rollout, joints: Sequence[int], limits: tuple[float, float]) -> None:
     for i in drawing.covering_first(rollout, joints):
         axes.plot(rollout.t, rollout.dq[:, i], color=drawing.joint_colour(i), linewidth=0.8)
-    axes.set_ylim(drawing.value_range([each.dq[:, joints] for each in rollouts.values()]))
-    axes.set_ylabel(f"$\\dot{{q}}$ [{rollout.manifest.joints[joints[0]].unit}/s]")
-    axes.tick_params(labelbottom=False)
+    axes.set(ylim=limits, ylabel=f"$\\dot{{q}}$ [{rollout.manifest.joints[joints[0]].unit}/s]")
 
 
 def _lam(axes: Axes, rollout: Rollout) -> None:
     axes.fill_between(rollout.t, rollout.signals["lam"], step="post", color=LAM, linewidth=0)
     axes.plot(rollout.t, rollout.signals["lam"], color=LAM, drawstyle="steps-post", linewidth=1.5)
-    axes.set(ylim=(-0.05, 1.1), yticks=[0, 1], ylabel="λ", xlabel="$t$ [s]")
+    axes.set(ylim=(-0.05, 1.1), yticks=[0, 1], ylabel="λ")
 
 
 def _curtain(axes: Axes, rollout: Rollout) -> Rectangle:
@@ -212,7 +220,7 @@ def _curtain(axes: Axes, rollout: Rollout) -> Rectangle:
     return veil
 
 
-def _entries(rollout: Rollout, joints: Sequence[int]) -> list[Artist]:
+def _entries(rollout: Rollout, joints: Sequence[int], lam: bool) -> list[Artist]:
     names = [rollout.manifest.joints[i].name.replace("_", " ") for i in joints]
     regions = [
         Patch(facecolor=to_rgba(REGION, 0.35), edgecolor=REGION, label="influence region"),
@@ -228,7 +236,9 @@ def _entries(rollout: Rollout, joints: Sequence[int]) -> list[Artist]:
             Line2D([], [], color=drawing.joint_colour(i), label=f"velocity of {name}")
             for i, name in zip(joints, names, strict=True)
         ),
-        Patch(facecolor=LAM, label="λ, share of the filter"),
+        Patch(facecolor=LAM, label="λ, share of the filter")
+        if lam
+        else Patch(facecolor=CONTACT, alpha=0.25, label="inside, or the barrier acts"),
     ]
 
 
