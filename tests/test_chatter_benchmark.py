@@ -5,9 +5,11 @@ import json
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from clikgen.analysis.comparison import LAWS
+from clikgen.analysis.metrics import encounters, metrics
 
 FOLDER = Path(__file__).parents[1] / "benchmarks"
 SENSED = {"noise of 2 mm", "delay of 50 ms"}  # intrusions there are those of the sensing
@@ -70,6 +72,30 @@ def test_the_page_holds_what_is_measured(under_the_barrier):
         assert shown["deepest_intrusion"] == pytest.approx(deepest, abs=1e-6)  # other compilers round otherwise
 
 
-def test_the_switched_law_oscillates_on_the_papers_scenario(benchmark, tmp_path):
-    result = benchmark.tried(benchmark.TRIALS[0], benchmark.Workshop(tmp_path), (LAWS["case1"],))["case1"]
-    assert len(result.oscillating) == 5
+@pytest.fixture(scope="module")
+def side_by_side(benchmark, tmp_path_factory):
+    """`side_by_side(title)`: the switched law and the barrier in one trial."""
+    workshop = benchmark.Workshop(tmp_path_factory.mktemp("two_laws"))
+    trials = {trial.title: trial for trial in benchmark.TRIALS}
+    return lambda title: benchmark.tried(trials[title], workshop, (LAWS["case1"], LAWS["barrier"]))
+
+
+def test_on_the_papers_scenario_the_barrier_chatters_not_and_tracks_as_well(side_by_side):
+    results = side_by_side("one contact (the paper's)")
+    switched, barrier = (metrics(one.compared.rollout) for one in results.values())
+    assert [len(one.oscillating) for one in results.values()] == [5, 0]
+    assert barrier.switches == 2 * len(encounters(results["barrier"].compared.rollout))
+    assert barrier.total_variation < switched.total_variation / 20  # 1/74, 70 % of it the reference's
+    assert barrier.hf_rms < switched.hf_rms / 15  # 1/92
+    assert barrier.tracking_rms < 1.02 * switched.tracking_rms  # 1.007
+    assert barrier.min_clearance > -1e-6  # [m] it stays 0.1 mm outside
+
+
+@pytest.mark.parametrize("title", ["10R arm among discs", "3-D mobile manipulator", "opposed obstacles"])
+def test_where_redundancy_suffices_the_barrier_costs_no_tracking(side_by_side, title):
+    results = side_by_side(title)
+    switched, barrier = (metrics(one.compared.rollout) for one in results.values())
+    reference = results["barrier"].compared.rollout.reference
+    length = np.sum(np.linalg.norm(np.diff(reference, axis=0), axis=1))
+    assert barrier.tracking_rms < 1e-3 * length
+    assert switched.tracking_max > 10 * barrier.tracking_max  # 21, 12 and 190 times
