@@ -50,6 +50,7 @@ class Barrier:
         single = {i: _single(contact) for i, (contact, _) in enumerate(pairs)}
         lower, upper = _bounds(u.numel(), limit, [(pairs[i], one) for i, one in single.items() if one])
         rows = [pair for i, pair in enumerate(pairs) if not single[i]]
+        names = [guard.name for guard in guards for contact in guard.contacts if not _single(contact)]
         program = Program(
             u,
             _metric_inverse(yields, u.numel()),
@@ -59,22 +60,26 @@ class Barrier:
             upper,
         )
         solver = Solver.of(program)
-        held = program.limits.numel() + lower.numel()
-        symbols = (ca.SX.sym("u", u.numel()), ca.SX.sym("slack", held), ca.SX.sym("steps"), ca.SX.sym("solved"))
+        names += ["the bounds of the velocities"] * lower.numel()
+        symbols = (ca.SX.sym("u", u.numel()), ca.SX.sym("slack", len(names)), ca.SX.sym("steps"), ca.SX.sym("solved"))
         stage = Stage(symbols, program.arguments, solver.run, solver.instructions)
-        return cls(stage, symbols[0], parameters, _diagnostics(*symbols[1:]))
+        return cls(stage, symbols[0], parameters, _diagnostics(names, *symbols[1:]))
 
 
-def _diagnostics(slack: ca.SX, steps: ca.SX, solved: ca.SX) -> tuple[Signal, ...]:
-    """What the program says of itself."""
+def _diagnostics(names: Sequence[str], slack: ca.SX, steps: ca.SX, solved: ca.SX) -> tuple[Signal, ...]:
+    """What the program says of itself; `names` say whose each row is."""
     worst, row = ca.SX(0), ca.SX(-1)
     for i in range(slack.numel()):
         row = ca.if_else(slack[i] > worst, i, row)
         worst = ca.fmax(slack[i], worst)
     feasible = worst <= FEASIBLE
+    whose = ", ".join(
+        f"{names.index(name)}-{names.index(name) + names.count(name) - 1} {name}" for name in dict.fromkeys(names)
+    )
+    text = f"the row violated most, −1 for none: {whose}"
     return (
         result("barrier_excess", worst, (), "m/s, rad/s", "largest violation of a row; 0 where all can be kept"),
-        result("barrier_row", ca.if_else(feasible, -1, row), (), "1", "the row violated most, −1 for none"),
+        result("barrier_row", ca.if_else(feasible, -1, row), (), "1", text),
         result("barrier_steps", steps, (), "1", f"steps of the quadratic program, at most {MOST_STEPS}"),
         result("barrier_solved", solved, (), "1", "1, or 0 where those steps were not enough"),
     )

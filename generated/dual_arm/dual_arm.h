@@ -202,7 +202,7 @@ typedef struct dual_arm_step_output {
   double posture_error[16];
   /* largest violation of a row; 0 where all can be kept [m/s, rad/s] */
   double barrier_excess;
-  /* the row violated most, −1 for none [1] */
+  /* the row violated most, −1 for none: 0-7 apart, 8-23 the bounds of the velocities [1] */
   double barrier_row;
   /* steps of the quadratic program, at most 70 [1] */
   double barrier_steps;

@@ -188,7 +188,7 @@ typedef struct panda7_step_output {
   double posture_error[7];
   /* largest violation of a row; 0 where all can be kept [m/s, rad/s] */
   double barrier_excess;
-  /* the row violated most, −1 for none [1] */
+  /* the row violated most, −1 for none: 0-19 obstacles, 20-26 the bounds of the velocities [1] */
   double barrier_row;
   /* steps of the quadratic program, at most 70 [1] */
   double barrier_steps;

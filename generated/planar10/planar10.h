@@ -147,7 +147,7 @@ typedef struct planar10_step_output {
   double dexterity_error[10];
   /* largest violation of a row; 0 where all can be kept [m/s, rad/s] */
   double barrier_excess;
-  /* the row violated most, −1 for none [1] */
+  /* the row violated most, −1 for none: 0-11 obstacles, 12-21 the bounds of the velocities [1] */
   double barrier_row;
   /* steps of the quadratic program, at most 70 [1] */
   double barrier_steps;

@@ -147,7 +147,7 @@ typedef struct ur6_step_output {
   double camera_error[2];
   /* largest violation of a row; 0 where all can be kept [m/s, rad/s] */
   double barrier_excess;
-  /* the row violated most, −1 for none [1] */
+  /* the row violated most, −1 for none: 0-5 walls, 6-11 the bounds of the velocities [1] */
   double barrier_row;
   /* steps of the quadratic program, at most 70 [1] */
   double barrier_steps;
