@@ -81,7 +81,10 @@ def build(spec: ControllerSpec) -> Controller:
 
 
 def _built(spec: TaskSpec, tree: KinematicTree, sensing: Sensing | None) -> Level:
-    task = spec.build(tree, sensing)
+    try:
+        task = spec.build(tree, sensing)
+    except BadInput as error:
+        raise BadInput(f"task '{spec.name}': {error}") from None
     return task.limited(spec.speed) if spec.speed and isinstance(task, Task) else task
 
 

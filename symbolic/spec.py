@@ -18,7 +18,7 @@ from clikgen.symbolic.obstacles import ObstacleCapacity
 from clikgen.symbolic.planner import PlannerSpec
 from clikgen.symbolic.planners import event
 from clikgen.symbolic.robot import Robot
-from clikgen.symbolic.task import TaskSpec, selected_joints
+from clikgen.symbolic.task import TaskSpec
 
 if TYPE_CHECKING:
     from clikgen.symbolic.filters.first_order import Spec as AnyFilter
@@ -89,22 +89,7 @@ def read_spec_file(path: Path) -> SpecFile:
         return SpecFile(ControllerSpec.parse(data, source), ())
     model = _built_robot(data["robot"], path)
     spec = ControllerSpec.parse(data | {"robot": model.robot}, source)
-    _check_names_in_tasks(spec, source)
     return SpecFile(spec, model.notes)
-
-
-def _check_names_in_tasks(spec: ControllerSpec, source: str) -> None:
-    """Raises BadInput that says which task names a frame or a joint that the robot lacks."""
-    for task in spec.tasks:
-        table = dict(task)
-        frames = (table.get("frame"), table.get("relative_to"), *(table.get("frames") or ()))
-        try:
-            for frame in frames:
-                if frame is not None:
-                    spec.robot.frame(frame)
-            selected_joints(spec.robot, table.get("joints"))
-        except BadInput as error:
-            raise BadInput(f"{source}: task '{task.name}': {error}") from None
 
 
 def read_robot(path: Path) -> RobotModel:

@@ -34,7 +34,7 @@ class Spec(TrackingSpec):
         """The error log(R_d Rᵀ) [rad], J_ω (3, n) of the frame, and ω_d as feedforward; BadInput in the plane."""
         name = self.name
         if tree.robot.space == "planar":
-            raise BadInput(f"task '{name}': in the plane an orientation is one angle; use the kind base_heading")
+            raise BadInput("in the plane an orientation is one angle; use the kind base_heading")
         frame = tree.robot.frame(self.frame)
         quaternion = quaternion_of(tree.rotation(frame.link, frame.rpy))
         reference = rotation_reference(name, f"R_d, how frame {frame.name} should be turned")

@@ -38,7 +38,7 @@ class Spec(TrackingSpec):
         """Both errors [m; rad], both Jacobians (6, n), ṙ_d and ω_d as feedforward; BadInput in the plane."""
         name = self.name
         if tree.robot.space == "planar":
-            raise BadInput(f"task '{name}': a planar robot has no pose; use the kinds frame_position and base_heading")
+            raise BadInput("a planar robot has no pose; use the kinds frame_position and base_heading")
         frame = tree.robot.frame(self.frame)
         position = tree.position(frame.link, frame.xyz)
         quaternion = quaternion_of(tree.rotation(frame.link, frame.rpy))

@@ -35,7 +35,7 @@ class Spec(TrackingSpec):
         """Those of `axes`; raises BadInput for z in the plane."""
         axes = tuple("xyz".index(axis) for axis in self.axes or "xyz"[: robot.dimension])
         if max(axes) >= robot.dimension:
-            raise BadInput(f"task '{self.name}': a planar robot has the axes x and y, got z")
+            raise BadInput("a planar robot has the axes x and y, got z")
         return axes
 
     def dimension(self, robot: Robot) -> int:

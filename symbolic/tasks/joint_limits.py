@@ -53,7 +53,7 @@ class Spec(OneSidedSpec):
     def _limited_joints(self, robot: Robot) -> list[int]:
         joints = _limited(robot)
         if not joints:
-            raise BadInput(f"task '{self.name}': wanted a joint with limits, got none")
+            raise BadInput("wanted a joint with limits, got none")
         return joints
 
     def _inputs(self, robot: Robot, joints: list[int]) -> tuple[Signal, Signal, Signal]:
@@ -72,7 +72,7 @@ class Spec(OneSidedSpec):
         for joint, low, high, s in zip(limited, *(one.info.default for one in (lower, upper, margin)), strict=True):
             if 2 * s > high - low:
                 raise BadInput(
-                    f"task '{self.name}': joint '{joint.name}' moves from {low:g} to {high:g} {joint.unit}: "
+                    f"joint '{joint.name}' moves from {low:g} to {high:g} {joint.unit}: "
                     f"wanted a margin of at most half of that, got {s:g}"
                 )
         return lower, upper, margin

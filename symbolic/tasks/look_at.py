@@ -37,7 +37,7 @@ class Spec(TrackingSpec):
         name, d, m = self.name, tree.robot.dimension, self.dimension(tree.robot)
         along = "xyz".index(self.axis)
         if along >= d:
-            raise BadInput(f"task '{name}': a planar robot looks along x or y, got axis z")
+            raise BadInput("a planar robot looks along x or y, got axis z")
         frame = tree.robot.frame(self.frame)
         target = vector_reference(name, d, "m", f"target that frame {frame.name} looks at")
         rotation = tree.rotation(frame.link, frame.rpy)[:d, :d]

@@ -80,7 +80,7 @@ class Spec(TaskSpec):
         rank = ca.sprank(ca.sparsify(J))
         if rank < J.shape[0]:
             raise BadInput(
-                f"task '{self.name}': the robot's joints move the {self.of} of frame '{self.frame}' in {rank} of "
+                f"the robot's joints move the {self.of} of frame '{self.frame}' in {rank} of "
                 f"{J.shape[0]} directions at most, so w is zero everywhere"
             )
         return J

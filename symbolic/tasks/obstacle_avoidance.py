@@ -27,7 +27,7 @@ class Spec(OneSidedSpec):
     def boundary(self, tree: KinematicTree, sensing: Sensing | None) -> Boundary:
         """The contacts; the sum J_o = Σ x uᵀ J_r of eq. 9 by the wrenches that the points' pushes exert on the tree."""
         if sensing is None:
-            raise BadInput(f"task '{self.name}' wants points of interest and [obstacles] maximum >= 1")
+            raise BadInput("wanted points of interest and [obstacles] maximum >= 1")
         pushes = (
             replace(push, force=c.depth * push.force) for push, c in zip(sensing.pushes, sensing.contacts, strict=True)
         )

@@ -38,7 +38,7 @@ class Spec(TrackingSpec):
         names = ", ".join(tree.robot.coordinates[i].name for i in joints)
         if len(self.posture) != k:
             raise BadInput(
-                f"task '{name}': posture, the default of {name}_reference: wanted shape ({k},), "
+                f"posture, the default of {name}_reference: wanted shape ({k},), "
                 f"got ({len(self.posture)},); the joints are {names}"
             )
         value = tree.q[joints]

@@ -54,16 +54,16 @@ class Spec(OneSidedSpec):
         if self.pairs is None:
             pairs = [pair for pair in combinations(bodies.values(), 2) if _joints_between(tree, pair) > 1]
             if not pairs:
-                raise BadInput(f"task '{self.name}': wanted bodies with two joints or more between them, got none")
+                raise BadInput("wanted bodies with two joints or more between them, got none")
             return pairs
         for name in (name for pair in self.pairs for name in pair):
             if name not in bodies:
-                raise BadInput(f"task '{self.name}': no body '{name}'; {choices(name, bodies)}")
+                raise BadInput(f"no body '{name}'; {choices(name, bodies)}")
         pairs = [(bodies[a], bodies[b]) for a, b in self.pairs]
         for a, b in pairs:
             if _joints_between(tree, (a, b)) == 0:
                 raise BadInput(
-                    f"task '{self.name}': the bodies '{a.name}' and '{b.name}' are fixed to each other, "
+                    f"the bodies '{a.name}' and '{b.name}' are fixed to each other, "
                     "wanted a joint at least between them"
                 )
         return pairs

@@ -60,14 +60,14 @@ class Spec(OneSidedSpec):
         if self.frames is not None:
             return {frame.name: (frame.link, frame.xyz) for frame in map(robot.frame, self.frames)}
         if not robot.points_of_interest:
-            raise BadInput(f"task '{self.name}': wanted frames, or a robot with points of interest")
+            raise BadInput("wanted frames, or a robot with points of interest")
         return {point.name: (point.link, point.offset) for point in robot.points_of_interest}
 
     def _inputs(self, dimension: int) -> tuple[Signal, Signal, Signal]:
         """The parameters `<name>_normal`, `<name>_offset` and `<name>_margin`, a row or a number each per wall."""
         for wall in self.walls:
             if len(wall.normal) != dimension:
-                raise BadInput(f"task '{self.name}': wanted normals of {dimension} numbers, got {list(wall.normal)}")
+                raise BadInput(f"wanted normals of {dimension} numbers, got {list(wall.normal)}")
         walls = (len(self.walls),)
         normals, offsets = [wall.normal for wall in self.walls], [wall.offset for wall in self.walls]
         return (

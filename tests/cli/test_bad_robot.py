@@ -339,7 +339,7 @@ SPEC_MISTAKES = {
     ),
     "obstacles without room": (
         spec(task('kind = "obstacle_avoidance"', "away")),
-        ["task 'away' wants points of interest and [obstacles] maximum >= 1"],
+        ["task 'away': wanted points of interest and [obstacles] maximum >= 1"],
     ),
     "unknown law": (spec(law="augmentd"), ["no law 'augmentd'", "mean 'augmented'?", "valid choices: augmented, nsb"]),
     "unknown key in a damping table": (
