@@ -39,8 +39,8 @@ class Boundary:
         return ", ".join(f"{one}^2" for one in self.unit.split(", "))
 
     def gain(self, gain: float) -> Signal:
-        """The parameter `<task>_gain`, K [1/s] of eq. 10: inside, a contact leaves with K x/2."""
-        return symbol(f"{self.name}_gain", (), "1/s", "K (eq. 10)", "parameter", (0.0, 1e6), gain)
+        """The parameter `<task>_gain`, K_o [1/s] of eq. 10: inside, a contact leaves with K_o x/2."""
+        return symbol(f"{self.name}_gain", (), "1/s", "K_o (eq. 10)", "parameter", (0.0, 1e6), gain)
 
 
 class ActivationSpec(Document, ABC):

@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from importlib import import_module
+from itertools import pairwise
 
 import casadi as ca
 
@@ -18,6 +19,8 @@ from clikgen.symbolic.stack import stack_notes
 from clikgen.symbolic.stage import Stage, composed, used_stages
 from clikgen.symbolic.task import Level, Task, TaskSpec
 from clikgen.symbolic.tree import KinematicTree
+
+_ACTS_ABOVE: tuple[type[Level], ...] = (Guard, Correction, Task)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -64,6 +67,7 @@ def build(spec: ControllerSpec) -> Controller:
         else None
     )
     tasks = [_built(task, tree, sensing) for task in spec.tasks]
+    _check_order(tasks)
     command = _velocity(spec, tree, tasks)
     inputs, outputs = _step(spec, tree, q, sensing, tasks, command)
     stages = [*(sensing.stages if sensing else ()), *command.stages]
@@ -85,7 +89,24 @@ def _built(spec: TaskSpec, tree: KinematicTree, sensing: Sensing | None) -> Leve
         task = spec.build(tree, sensing)
     except BadInput as error:
         raise BadInput(f"task '{spec.name}': {error}") from None
+    if spec.speed and not isinstance(task, Task):
+        raise BadInput(
+            f"task '{spec.name}': wanted no speed, its activation has no feedback to limit; got {spec.speed:g}"
+        )
     return task.limited(spec.speed) if spec.speed and isinstance(task, Task) else task
+
+
+def _check_order(tasks: Sequence[Level]) -> None:
+    """Raises BadInput where a barrier does not stand above corrections, or one of these above the law's tasks.
+
+    In this order they act on the velocity, whatever their priorities.
+    """
+    for above, below in pairwise(tasks):
+        if _ACTS_ABOVE.index(type(above)) > _ACTS_ABOVE.index(type(below)):
+            raise BadInput(
+                f"task '{below.name}': wanted it above task '{above.name}': first barriers, then hysteresis, ramp and "
+                "damped, then all others"
+            )
 
 
 def _notes(spec: ControllerSpec, tree: KinematicTree, tasks: Sequence[Level]) -> tuple[str, ...]:

@@ -31,7 +31,7 @@ def potential_task(boundary: Boundary, gain: float, damping: float, combine: Com
         potential, shape = potentials, (len(contacts),)
         J = ca.vertcat(*(contact.depth * contact.approach for contact in contacts))
         texts = "V, eq. 8 of each contact", "J_o = ∂V/∂q, eq. 9 of each contact"
-    K = symbol(f"{name}_gain", (), "1/s", "K_o (eq. 10)", "parameter", (0.0, 1e6), gain)
+    K = boundary.gain(gain)
     constant = symbol(f"{name}_damping", (), unit, "damping of J⁺", "parameter", LIMITS, damping)
     return Task(
         name=name,

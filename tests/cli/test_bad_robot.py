@@ -341,6 +341,26 @@ SPEC_MISTAKES = {
         spec(task('kind = "obstacle_avoidance"', "away")),
         ["task 'away': wanted points of interest and [obstacles] maximum >= 1"],
     ),
+    "barrier below a task that holds always": (
+        spec(task(f"{TIP}"), task('kind = "joint_limits", margin = 0.05', "limits")),
+        ["task 'limits': wanted it above task 'hand': first barriers, then hysteresis, ramp and damped"],
+    ),
+    "barrier below a ramp": (
+        spec(
+            task('kind = "joint_limits", margin = 0.05, activation = {kind = "ramp"}', "soft"),
+            task('kind = "joint_limits", margin = 0.05', "limits"),
+            task(f"{TIP}"),
+        ),
+        ["task 'limits': wanted it above task 'soft'"],
+    ),
+    "speed of a barrier": (
+        spec(task('kind = "joint_limits", margin = 0.05, speed = 1.0', "limits")),
+        ["task 'limits': wanted no speed, its activation has no feedback to limit; got 1"],
+    ),
+    "unknown activation": (
+        spec(task('kind = "joint_limits", margin = 0.05, activation = {kind = "rmap"}', "limits")),
+        ["no kind 'rmap'", "mean 'ramp'?", "valid choices: barrier, damped, hysteresis, ramp, switched"],
+    ),
     "unknown law": (spec(law="augmentd"), ["no law 'augmentd'", "mean 'augmented'?", "valid choices: augmented, nsb"]),
     "unknown key in a damping table": (
         spec(task(f"{TIP}, damping = {{maximum = 0.05, neer = 0.05}}")),
