@@ -38,7 +38,7 @@ STATES = 4096  # at random: so many that no branch predictor learns them by hear
 STAYS = 256  # steps in one state, for `ns`
 BATCH = 5e6  # [ns] that one timed call into C takes at least: the 50 us of Python around it are 1 %
 FITTED = 3  # the largest sizes of a sweep, through which its line goes
-COLUMNS = ("instructions", "C_kB", "generate_s", "compile_s", "ns", "ns_new")
+COLUMNS = ("operations", "C_kB", "generate_s", "compile_s", "ns", "ns_new")
 NOT_FASTER = "wanted: ns no faster than linear, p <= 1"
 
 Array = NDArray[np.float64]
@@ -62,7 +62,7 @@ class Row:
     tasks: int
     points: int
     obstacles: int  # of every kind
-    instructions: int  # of the step alone
+    operations: int  # of the step alone
     C_kB: float  # the C file, with kinematics and Jacobians
     generate_s: float
     compile_s: float
@@ -295,7 +295,7 @@ def row(size: int, one: Built, ns: float, ns_new: float) -> Row:
         tasks=len(manifest.tasks),
         points=len(manifest.points),
         obstacles=manifest.obstacles + manifest.capsules + manifest.half_spaces,
-        instructions=manifest.function("step").instructions,
+        operations=manifest.function("step").operations,
         C_kB=round(one.c_bytes / 1000, 1),
         generate_s=round(one.generate_s, 3),
         compile_s=round(one.compile_s, 3),
@@ -322,7 +322,7 @@ def report(table: Table, rows: list[Row], grown: dict[str, float]) -> None:
         "tasks",
         "points",
         "obst.",
-        "instructions",
+        "operations",
         "C [kB]",
         "gen. [s]",
         "cc [s]",
@@ -333,7 +333,7 @@ def report(table: Table, rows: list[Row], grown: dict[str, float]) -> None:
     for one in rows:
         print(
             f"{one.controller:<18}{one.joints:8}{one.tasks:8}{one.points:8}{one.obstacles:8}"
-            f"{one.instructions:14}{one.C_kB:8.0f}{one.generate_s:10.2f}{one.compile_s:8.2f}{one.ns:8.0f}{one.ns_new:8.0f}"
+            f"{one.operations:14}{one.C_kB:8.0f}{one.generate_s:10.2f}{one.compile_s:8.2f}{one.ns:8.0f}{one.ns_new:8.0f}"
         )
     if grown:
         values = "{:14.2f}{:8.2f}{:10.2f}{:8.2f}{:8.2f}{:8.2f}".format(*grown.values())

@@ -48,7 +48,7 @@ def main() -> None:
                     "largest": float(np.max(ns)),
                     "ratio": float(np.median(ns) / np.median(along["switched"])),
                     "largest_ratio": float(np.max(ns / along["switched"])),
-                    "instructions": controllers[law].step.info.instructions,
+                    "operations": controllers[law].step.info.operations,
                 }
                 for law, ns in along.items()
             },
@@ -125,11 +125,11 @@ def report(document: dict) -> None:
         return
     print(f"{document['machine']}\n{document['compiler']}")
     print(f"planar5, {document['states']} states along the paper's scenario\n")
-    print(f"{'activation':<12}{'median':>10}{'p99':>10}{'largest':>10}{'median, of switched':>22}{'instructions':>14}")
+    print(f"{'activation':<12}{'median':>10}{'p99':>10}{'largest':>10}{'median, of switched':>22}{'operations':>14}")
     for law, one in document["laws"].items():
         print(
             f"{law:<12}{one['median']:>7.0f} ns{one['p99']:>7.0f} ns{one['largest']:>7.0f} ns"
-            f"{one['ratio']:>20.2f} x{one['instructions']:>14}"
+            f"{one['ratio']:>20.2f} x{one['operations']:>14}"
         )
     worst = document["worst"]
     print(

@@ -1,30 +1,237 @@
-"""What one step costs: the bare C call, the same from Python, and per step of a whole rollout in C.
+"""What one step costs in C: ours, CasADi's C of the same expressions, and CasADi's C of the paper's formulas.
 
-The three are timed in turn, round after round in one process, on the paper's scenario; medians of the rounds.
 `python benchmarks/step.py [--json]`
+
+Each variant is compiled with its flags and stepped in C, in turn, round after round in one process; medians of the
+rounds. `ns` is a step in a state that stays, `ns new` one in another state every time, in which the processor guesses
+branches wrong. The floor is a model: with what an operation costs on this machine where nothing waits (`rate`) and
+where each waits for the one before (`delay`), a step takes at least
+
+    max( additions · rate, products · rate, divider · rate, longest chain · delay ),
+
+one robot in scalar code, loads, stores and selects for nothing. Instructions are callgrind's, where valgrind is there.
+Then the call from Python, and a rollout.
 """
 
 import json
+import re
+import shutil
 import statistics
+import subprocess
 import sys
-from collections.abc import Callable
+from collections import Counter
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
+import casadi as ca
 import cffi
+import growth
 import numpy as np
+import textbook
 from common import compiler, machine, per_call
+from numpy.typing import NDArray
 
-from clikgen.runtime.compiler import compile_library
-from clikgen.runtime.controller import CompiledController, find_controller
+from clikgen.runtime.compiler import FLAGS, find_compiler
+from clikgen.runtime.controller import CompiledController
 from clikgen.runtime.scenario import CASES, find_scenario, read_scenario
 from clikgen.runtime.simulation import Run, prepare
+from clikgen.symbolic.controller import Controller, build
+from clikgen.symbolic.generate import generate
+from clikgen.symbolic.spec import read_spec, shipped_specs
 
 ROUNDS = 25
 CALLS = 20_000
 ROLLOUTS = 10
+PLAIN = ("-O2", "-fPIC")
+CHAINS = {"add": "add", "sub": "add", "mul": "mul", "div": "div", "sqrt": "sqrt", "select": "select"}
+SINCOS = Counter(add=17, mul=22)  # of our own sine and cosine together, bits aside
+SINCOS_CHAIN = Counter(add=8, mul=9)
+HERE = Path(__file__).parent
+_STEP = "int {}(const double **, double **, long long *, double *, int);"
+_CALLS = """
+typedef struct { void *function; const double **arg; double **res; long long *iw; double *w; } clikgen_evaluation;
+int clikgen_repeat(const clikgen_evaluation *, long long, int, const long long *, int, const long long *);
+"""
+
+Array = NDArray[np.float64]
 
 
-def main() -> None:
+@dataclass(frozen=True, slots=True)
+class Variant:
+    name: str
+    source: str
+    flags: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Floor:
+    """The model's bounds [ns]."""
+
+    additions: float
+    products: float
+    divider: float
+    chain: float
+
+    @property
+    def ns(self) -> float:
+        return max(self.additions, self.products, self.divider, self.chain)
+
+
+def variants(controller: Controller) -> Iterator[Variant]:
+    spec, function = controller.spec, controller.functions[-1]
+    if spec.name == "planar5":
+        yield Variant("the paper's formulas, CasADi's C, plain flags", _by_casadi(textbook.step(spec, function)), PLAIN)
+    by_casadi = _by_casadi(function.casadi)
+    yield Variant("CasADi's C, plain flags", by_casadi, PLAIN)
+    yield Variant("CasADi's C, our flags", by_casadi, FLAGS)
+    ours = generate(spec)
+    header, source = ours[f"{spec.name}.h"], ours[f"{spec.name}.c"]
+    yield Variant("ours", source.replace(f'#include "{spec.name}.h"', header), FLAGS)
+
+
+def _by_casadi(function: ca.Function) -> str:
+    generator = ca.CodeGenerator(function.name())
+    generator.add(function)
+    return str(generator.dump())
+
+
+def measured(controller: Controller, folder: Path) -> list[tuple[str, float, float, float | None]]:
+    """Name, ns, ns in new states, instructions of each variant."""
+    name = controller.spec.name
+    for file, text in generate(controller.spec).items():
+        (folder / file).write_text(text)
+    loaded = CompiledController.load(folder)
+    states = growth.states(loaded)
+    rows, work = [], []
+    for variant in variants(controller):
+        library = built(variant, folder)
+        ffi = cffi.FFI()
+        ffi.cdef(_CALLS + _STEP.format(f"{name}_step"))
+        call = ffi.dlopen(str(library))
+        work.append((stepping(ffi, call, loaded, states, new=False), stepping(ffi, call, loaded, states, new=True)))
+        rows.append(variant)
+    costs: list[tuple[list[float], list[float]]] = [([], []) for _ in rows]
+    for _ in range(ROUNDS):
+        for (staying, new), (cost, cost_new) in zip(work, costs, strict=True):
+            cost.append(per_call(staying, CALLS))
+            cost_new.append(per_call(new, growth.STATES))
+    return [
+        (one.name, statistics.median(cost), statistics.median(cost_new), instructions(one, loaded, states, folder))
+        for one, (cost, cost_new) in zip(rows, costs, strict=True)
+    ]
+
+
+def built(variant: Variant, folder: Path) -> Path:
+    """The shared library of a variant."""
+    place = folder / re.sub(r"\W+", "_", variant.name)
+    place.with_suffix(".c").write_text(variant.source)
+    calls = Path(CompiledController.load.__globals__["__file__"]).parent / "calls.c"
+    command = [*find_compiler().command, "-shared", *variant.flags, "-o", str(place.with_suffix(".so"))]
+    subprocess.run([*command, str(place.with_suffix(".c")), str(calls), "-lm"], check=True, capture_output=True)
+    return place.with_suffix(".so")
+
+
+def stepping(
+    ffi: cffi.FFI, library: object, loaded: CompiledController, states: dict[str, Array], *, new: bool
+) -> Callable[[], int]:
+    """Work in C: CALLS steps in one state after each other, or one in each of the states."""
+    info = loaded.step.info
+    count = growth.STATES if new else CALLS
+    inputs = [np.ascontiguousarray(states.get(one.name, loaded.step.inputs[one.name])) for one in info.inputs]
+    sizes = [one.size if new and one.name in states else 0 for one in info.inputs]
+    outputs = [np.zeros(one.size) for one in info.outputs]
+    iw, w = ffi.new("long long[]", 4096), ffi.new("double[]", 65536)
+    pad = [ffi.NULL] * 64
+
+    def work() -> int:
+        arg = ffi.new("const double *[]", [ffi.from_buffer("double *", one) for one in inputs] + pad)
+        res = ffi.new("double *[]", [ffi.from_buffer("double *", one) for one in outputs] + pad)
+        function = ffi.cast("void *", getattr(library, info.symbol))
+        one = ffi.new("clikgen_evaluation *", {"function": function, "arg": arg, "res": res, "iw": iw, "w": w})
+        return int(library.clikgen_repeat(one, count, len(inputs), sizes, len(outputs), [0] * len(outputs)))
+
+    return work
+
+
+def instructions(variant: Variant, loaded: CompiledController, states: dict[str, Array], folder: Path) -> float | None:
+    """Of one step in the first of the states, counted by callgrind; None without valgrind."""
+    if shutil.which("valgrind") is None:
+        return None
+    info, many = loaded.step.info, 1000
+    values = [
+        np.ravel(states[one.name][0] if one.name in states else loaded.step.inputs[one.name]) for one in info.inputs
+    ]
+    tables = "".join(
+        f"static const double i{k}[] = {{{', '.join(map(repr, map(float, value)))}}};\n"
+        for k, value in enumerate(values)
+    )
+    tables += "".join(f"static double o{k}[{one.size}];\n" for k, one in enumerate(info.outputs))
+    arg = ", ".join(f"i{k}" for k in range(len(values)))
+    res = ", ".join(f"o{k}" for k in range(len(info.outputs)))
+    program = (
+        f"#include <stdlib.h>\nint {info.symbol}(const double **, double **, long long *, double *, int);\n{tables}"
+        f"int main(int n, char **v) {{\n  (void)n;\n  static long long iw[4096];\n  static double w[65536];\n"
+        f"  for (int k = atoi(v[1]); k > 0; --k) {{\n    const double *arg[128] = {{{arg}}};\n"
+        f"    double *res[128] = {{{res}}};\n    {info.symbol}(arg, res, iw, w, 0);\n  }}\n  return 0;\n}}\n"
+    )
+    (folder / "main.c").write_text(program)
+    source = folder / (re.sub(r"\W+", "_", variant.name) + ".c")
+    flags = [flag for flag in variant.flags if flag not in ("-shared", "-march=native")]
+    command = [*find_compiler().command, *flags, "-o", str(folder / "main"), str(folder / "main.c"), str(source), "-lm"]
+    subprocess.run(command, check=True, capture_output=True)
+    counts = [_collected(folder, times) for times in (1, many + 1)]
+    return (counts[1] - counts[0]) / many
+
+
+def _collected(folder: Path, times: int) -> int:
+    command = ["valgrind", "--tool=callgrind", f"--callgrind-out-file={folder / 'callgrind'}", str(folder / "main")]
+    outcome = subprocess.run([*command, str(times)], check=True, capture_output=True, text=True)
+    found = re.search(r"Collected : (\d+)", outcome.stderr)
+    assert found, outcome.stderr
+    return int(found[1])
+
+
+def floor(controller: Controller, rate: dict[str, float], delay: dict[str, float]) -> Floor:
+    """The model for a step whose loops are all written out."""
+    graph = controller.functions[-1].procedure.straightened().graph()
+    needed = graph.needed()
+    count = Counter(CHAINS[graph.nodes[i].operation] for i in needed if graph.nodes[i].operation in CHAINS)
+    angles = {graph.nodes[i].arguments for i in needed if graph.nodes[i].operation in ("sin", "cos")}
+    for _ in angles:
+        count += SINCOS
+    ready: dict[int, float] = {}
+    for i in needed:
+        node = graph.nodes[i]
+        own = delay[CHAINS[node.operation]] if node.operation in CHAINS else 0.0
+        if node.operation in ("sin", "cos"):
+            own = sum(times * delay[kind] for kind, times in SINCOS_CHAIN.items())
+        ready[i] = own + max((ready[k] for k in node.arguments), default=0.0)
+    return Floor(
+        count["add"] * rate["add"],
+        count["mul"] * rate["mul"],
+        count["div"] * rate["div"] + count["sqrt"] * rate["sqrt"],
+        max(ready.values()),
+    )
+
+
+def units(folder: Path) -> tuple[dict[str, float], dict[str, float]]:
+    """Nanoseconds of each operation: where nothing waits, and where each waits for the one before."""
+    library = folder / "units.so"
+    flags = ["-O2", "-fno-math-errno", "-fno-trapping-math", "-fPIC", "-shared"]
+    subprocess.run([*find_compiler().command, *flags, "-o", str(library), str(HERE / "units.c"), "-lm"], check=True)
+    ffi, kinds = cffi.FFI(), sorted(set(CHAINS.values()))
+    ffi.cdef("".join(f"double {way}_{kind}(long, double);" for way in ("rate", "delay") for kind in kinds))
+    call, n = ffi.dlopen(str(library)), 4_000_000
+    found: dict[str, dict[str, float]] = {}
+    for way in ("rate", "delay"):
+        found[way] = {kind: min(getattr(call, f"{way}_{kind}")(n, 1.0000001) for _ in range(5)) for kind in kinds}
+    return found["rate"], found["delay"]
+
+
+def from_python() -> dict[str, float]:
+    """Nanoseconds of a step called from Python, in contact, and of a rollout's step."""
     controller = CompiledController.load("planar5")
     run = prepare(controller, read_scenario(find_scenario("paper")), CASES[3])
     rollout = run.in_c()
@@ -38,38 +245,26 @@ def main() -> None:
     }
     moving = {name: now[name] for name in ("q", "tool_reference", "tool_reference_velocity", "obstacle_center")}
     controller.step(**now)
-    bare = bare_call(controller)
-    costs: dict[str, list[float]] = {
-        "bare C step": [],
-        "step() from Python": [],
-        "step(...) from Python": [],
-        "C rollout": [],
+    ways: dict[str, tuple[Callable[[], object], int]] = {
+        "step.evaluate(), inputs written in place": (lambda: evaluated(controller), CALLS // 10),
+        f"step(...), {len(moving)} inputs by name": (lambda: called(controller, moving), CALLS // 10),
+        "a rollout, whole in C": (lambda: rollouts(run), ROLLOUTS * run.steps),
     }
+    costs: dict[str, list[float]] = {name: [] for name in ways}
     for _ in range(ROUNDS):
-        costs["bare C step"].append(per_call(lambda: bare(CALLS), CALLS))
-        costs["step() from Python"].append(per_call(lambda: repeat(controller.step, {}), CALLS // 10))
-        costs["step(...) from Python"].append(per_call(lambda: repeat(controller.step, moving), CALLS // 10))
-        costs["C rollout"].append(per_call(lambda: rollouts(run), ROLLOUTS * run.steps))
-    report({name: statistics.median(values) for name, values in costs.items()}, len(moving))
+        for name, (work, calls) in ways.items():
+            costs[name].append(per_call(work, calls))
+    return {name: statistics.median(values) for name, values in costs.items()}
 
 
-def bare_call(controller: CompiledController) -> Callable[[int], int]:
-    """A function that calls the compiled step so many times in C, on the controller's own buffers."""
-    folder = find_controller("planar5")
-    library = compile_library([folder / "planar5.c", Path(__file__).parent / "repeat.c"])
-    ffi = cffi.FFI()
-    ffi.cdef("int planar5_step(const double **, double **, long long *, double *, int);")
-    ffi.cdef(
-        "int clikgen_repeat(int (*)(const double **, double **, long long *, double *, int), long long, "
-        "const double **, double **);"
-    )
-    compiled = ffi.dlopen(str(library))
-    arg = ffi.new("const double *[]", [ffi.from_buffer("double *", b) for b in controller.step.inputs.values()])
-    res = ffi.new("double *[]", [ffi.from_buffer("double *", b) for b in controller.step.outputs.values()])
-    return lambda times: int(compiled.clikgen_repeat(compiled.planar5_step, times, arg, res))
+def evaluated(controller: CompiledController) -> None:
+    evaluate = controller.step.evaluate
+    for _ in range(CALLS // 10):
+        evaluate()
 
 
-def repeat(step: Callable[..., object], values: dict[str, np.ndarray]) -> None:
+def called(controller: CompiledController, values: dict[str, Array]) -> None:
+    step = controller.step
     for _ in range(CALLS // 10):
         step(**values)
 
@@ -79,28 +274,42 @@ def rollouts(run: Run) -> None:
         run.controller.rollout(run.steps, run.values)
 
 
-def report(cost: dict[str, float], named: int) -> None:
-    bare = cost["bare C step"]
-    budget = 5 * bare + 1500
-    document = {
-        "machine": machine(),
-        "compiler": compiler(),
-        "ns": {name: round(value) for name, value in cost.items()},
-        "step(...) over its budget of 5 bare calls + 1.5 us": round(cost["step(...) from Python"] / budget, 3),
-        "C rollout over bare": round(cost["C rollout"] / bare, 3),
-    }
-    if "--json" in sys.argv:
+def main() -> None:
+    document: dict[str, object] = {"machine": machine(), "compiler": compiler(), "rounds": ROUNDS}
+    specs = [read_spec(path) for path in (*shipped_specs(), HERE / "peers" / "arm7.toml")]
+    written = "--json" in sys.argv
+    with TemporaryDirectory() as place:
+        rate, delay = units(Path(place))
+        document["ns of an operation"] = {"rate": rate, "delay": delay}
+        if not written:
+            print(f"{document['machine']}\n{document['compiler']}\nmedians of {ROUNDS} rounds\n")
+        for controller in (build(spec) for spec in specs if spec.name in ("planar5", "arm7")):
+            folder = Path(place) / controller.spec.name
+            folder.mkdir()
+            rows, least = measured(controller, folder), floor(controller, rate, delay)
+            document[controller.spec.name] = {
+                "variants": [dict(zip(("name", "ns", "ns new", "instructions"), row, strict=True)) for row in rows],
+                "floor": {"ns": least.ns, **{key: getattr(least, key) for key in least.__slots__}},
+            }
+            if not written:
+                report(controller.spec.name, rows, least)
+    document["from Python"] = from_python()
+    if written:
         print(json.dumps(document, indent=2))
         return
-    print(
-        f"{document['machine']}\n{document['compiler']}\n"
-        f"planar5, paper scenario, a step in contact; medians of {ROUNDS} rounds\n"
-    )
-    for name, value in cost.items():
-        note = f" ({named} inputs set)" if name == "step(...) from Python" else ""
-        print(f"{name + note:<40}{value:8.0f} ns   {value / bare:6.2f} x bare")
-    print(f"\nstep(...) / (5 bare + 1.5 us) = {cost['step(...) from Python'] / budget:.2f}   (at most 1)")
-    print(f"C rollout / bare              = {cost['C rollout'] / bare:.2f}   (at most 1.3)")
+    print("planar5 from Python, in contact")
+    for name, value in document["from Python"].items():
+        print(f"{name:<50}{value:8.0f} ns")
+
+
+def report(name: str, rows: list[tuple[str, float, float, float | None]], least: Floor) -> None:
+    ours = rows[-1]
+    print(f"{name:<50}{'ns':>8}{'of ours':>9}{'ns new':>9}{'of ours':>9}{'instructions':>14}")
+    for title, ns, ns_new, count in rows:
+        counted = f"{count:14.0f}" if count is not None else f"{'':>14}"
+        print(f"{title:<50}{ns:8.0f}{ns / ours[1]:9.2f}{ns_new:9.0f}{ns_new / ours[2]:9.2f}{counted}")
+    bounds = ", ".join(f"{key} {getattr(least, key):.0f}" for key in least.__slots__)
+    print(f"{'floor: ' + bounds:<50}{least.ns:8.0f}   ours is {ours[1] / least.ns:.2f} times it\n")
 
 
 if __name__ == "__main__":

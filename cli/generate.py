@@ -1,7 +1,7 @@
 """`clikgen generate`: spec files -> C, header and manifest."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, get_args
 
 import typer
 
@@ -12,6 +12,9 @@ def command(
     ] = None,
     check: Annotated[bool, typer.Option("--check", help="Write nothing; print a diff and exit 1 when stale.")] = False,
     schema: Annotated[bool, typer.Option("--schema", help="Print the JSON schema of a spec file.")] = False,
+    target: Annotated[
+        str, typer.Option(help="c: our C in double; float: in single precision; casadi: CasADi's, the reference.")
+    ] = "c",
     out: Annotated[
         Path | None,
         typer.Option(help="Folder of the controllers; default: ./generated, or where the shipped ones are."),
@@ -19,10 +22,15 @@ def command(
 ) -> int:
     """Make the generated code equal to the specs: write what changed, remove what no spec stands for."""
     from clikgen.cli.terminal import messages, print_json, progress_bar
-    from clikgen.runtime.documents import BadInput
+    from clikgen.runtime.documents import BadInput, choices
+    from clikgen.symbolic.c_code import Target
     from clikgen.symbolic.generate import difference, generate_file, shipped_folder
     from clikgen.symbolic.spec import shipped_specs, spec_schema
 
+    targets: dict[str, Target] = {name: name for name in get_args(Target)}
+    if target not in targets:
+        raise BadInput(f"--target: {choices(target, targets)}")
+    chosen = targets[target]
     if schema:
         print_json(spec_schema())
         return 0
@@ -30,7 +38,7 @@ def command(
     controllers: dict[str, dict[str, str]] = {}
     with progress_bar() as progress:
         for path in progress.track(specs or shipped_specs(), description="generating"):
-            made = generate_file(path)
+            made = generate_file(path, chosen)
             if made.name in controllers:
                 raise BadInput(f"{path}: name: another spec is called '{made.name}' too")
             controllers[made.name] = made.files

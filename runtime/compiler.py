@@ -1,6 +1,7 @@
 """C sources -> shared library, compiled once per user and found again by its content."""
 
 import os
+import platform
 import shlex
 import shutil
 import subprocess
@@ -14,8 +15,9 @@ from pathlib import Path
 from clikgen.runtime.documents import BadInput, make_folder
 from clikgen.runtime.manifest import sha256
 
-# -std=c99 and -ffp-contract=off keep results equal to CasADi's own evaluation bit for bit; the -fno-* flags keep
-# calls and branches cheap and change no result.
+# -std=c99 and -ffp-contract=off keep results the same on every machine, and CasADi's C equal to its own evaluation bit
+# for bit; the -fno-* flags keep calls and branches cheap and change no result. With the last two, loops whose
+# iterations do not depend on each other run side by side.
 FLAGS = (
     "-std=c99",
     "-O2",
@@ -25,7 +27,12 @@ FLAGS = (
     "-fno-semantic-interposition",
     "-fno-math-errno",
     "-fno-trapping-math",
+    "-fopenmp-simd",
+    "-DCLIKGEN_OPENMP",
 )
+
+# For loops over robots: as wide vectors as this processor has. They change no result either.
+NATIVE = ("-O3", "-march=native", "-fopenmp-simd")
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,21 +97,39 @@ def cache_folder() -> Path:
     return Path(base).resolve() / "clikgen"
 
 
-def library_path(sources: Sequence[Path], compiler: Compiler) -> Path:
-    """The cached library's place, keyed by the files' content, the flags and the compiler."""
+def _processor() -> str:
+    """What -march=native stands for here: a cache may be shared by machines of other processors."""
+    info = Path("/proc/cpuinfo")
+    if not info.exists():
+        return f"{platform.machine()} {platform.processor()}"
+    first_core, _, _ = info.read_text().partition("\n\n")
+    pairs = (line.partition(":") for line in first_core.splitlines())
+    return " ".join(f"{key.strip()}:{value}" for key, _, value in pairs if key.strip() in _OF_THE_PROCESSOR)
+
+
+_OF_THE_PROCESSOR = (  # not: clock frequencies, bugs and whatever else changes from boot to boot
+    *("vendor_id", "cpu family", "model", "flags"),
+    *("CPU implementer", "CPU architecture", "CPU variant", "CPU part", "Features", "isa"),
+)
+
+
+def library_path(sources: Sequence[Path], compiler: Compiler, extra: Sequence[str] = ()) -> Path:
+    """The cached library's place, by the content, the flags, the compiler and, for -march=native, the processor."""
     files = [path for source in sources for path in (source, source.with_suffix(".h")) if path.exists()]
-    key = [*(path.read_bytes() for path in files), " ".join(FLAGS).encode(), compiler.identity.encode()]
+    key = [*(path.read_bytes() for path in files), " ".join((*FLAGS, *extra)).encode(), compiler.identity.encode()]
+    if "-march=native" in extra:
+        key.append(_processor().encode())
     return cache_folder() / f"{sources[0].stem}-{sha256(b''.join(sha256(part).encode() for part in key))[:24]}.so"
 
 
-def compile_library(sources: Sequence[Path], compiler: Compiler | None = None) -> Path:
-    """The shared library of the C files, compiled if the cache lacks it.
+def compile_library(sources: Sequence[Path], compiler: Compiler | None = None, extra: Sequence[str] = ()) -> Path:
+    """The shared library of the C files, compiled if the cache lacks it; with `extra` flags after FLAGS.
 
     Two processes may do this at once: each compiles into a file of its own and renames it into place. Raises
     BadInput when there is no compiler, the compiler fails, or the cache cannot be written.
     """
     compiler = compiler or find_compiler()
-    library = library_path(sources, compiler)
+    library = library_path(sources, compiler, extra)
     if library.exists():
         return library
     make_folder(library.parent)
@@ -115,7 +140,7 @@ def compile_library(sources: Sequence[Path], compiler: Compiler | None = None) -
     os.close(handle)
     temporary = Path(name)
     try:
-        command = [*compiler.command, *FLAGS, "-o", str(temporary), *map(str, sources), "-lm"]
+        command = [*compiler.command, *FLAGS, *extra, "-o", str(temporary), *map(str, sources), "-lm"]
         outcome = subprocess.run(command, capture_output=True, text=True, check=False)
         if outcome.returncode != 0:
             complaint = next((line for line in outcome.stderr.splitlines() if "error" in line), outcome.stderr)

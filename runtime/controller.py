@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import partial
 from importlib import resources
 from pathlib import Path
 from types import MappingProxyType
@@ -32,7 +33,8 @@ class CompiledFunction:
     """One generated function with its own buffers.
 
     `inputs` and `outputs` are arrays in the shapes of the manifest that stay the same from call to call: write
-    into the one, read from the other, copy what has to outlive the next call.
+    into the one, `evaluate()`, read from the other, copy what has to outlive the next call. That is the fastest way
+    from Python, the cost of a call into C; calling the function with arrays by name checks and copies them first.
     """
 
     def __init__(self, info: FunctionInfo, library: Any) -> None:
@@ -40,9 +42,10 @@ class CompiledFunction:
         self._library = library
         self.inputs = MappingProxyType({signal.name: _buffer(signal) for signal in info.inputs})
         self.outputs = MappingProxyType({signal.name: _buffer(signal) for signal in info.outputs})
-        self._wanted = {name: (buffer, buffer.shape) for name, buffer in self.inputs.items()}
+        self._wanted = {name: (buffer.__setitem__, buffer.shape) for name, buffer in self.inputs.items()}
         self._own, self._kept = self._evaluation(self.inputs, self.outputs)
-        self._evaluate = library.clikgen_evaluate
+        self.evaluate: Callable[[], int] = partial(library.clikgen_evaluate, self._own)
+        """Evaluate once, from `inputs` into `outputs`."""
 
     def __call__(self, **values: ArrayLike) -> Mapping[str, Array]:
         """Evaluate once, after copying `values` into the inputs they name; an input not named keeps its value.
@@ -50,16 +53,22 @@ class CompiledFunction:
         Raises ValueError for an unknown name or a shape other than the manifest's: a scalar would otherwise
         fill a whole vector in silence.
         """
+        wanted = self._wanted
         for name, value in values.items():
-            if name not in self._wanted:
+            if name not in wanted:
                 raise ValueError(f"{self.info.symbol}: no input '{name}'; {choices(name, self.inputs)}")
-            buffer, shape = self._wanted[name]
+            put, shape = wanted[name]
             array = value if type(value) is np.ndarray else np.asarray(value)
             if array.shape != shape:
                 raise ValueError(f"{name} must have shape {shape} for {self.info.symbol}, got {array.shape}")
-            buffer[...] = array
-        self._evaluate(self._own)
+            put(..., array)
+        self.evaluate()
         return self.outputs
+
+    @property
+    def pointer(self) -> Any:
+        """The C function itself, in CasADi's calling convention, for other C to call."""
+        return _ffi.cast("void *", getattr(self._library, self.info.symbol))
 
     def with_own_buffers(self) -> "CompiledFunction":
         """The same function with other buffers, at their defaults."""
@@ -111,8 +120,7 @@ class CompiledFunction:
         arg = _ffi.new("const double *[]", _pointers(inputs, self.info.sz_arg))
         res = _ffi.new("double *[]", _pointers(outputs, self.info.sz_res))
         iw, w = _ffi.new("long long[]", max(self.info.sz_iw, 1)), _ffi.new("double[]", max(self.info.sz_w, 1))
-        function = _ffi.cast("void *", getattr(self._library, self.info.symbol))
-        evaluation = {"function": function, "arg": arg, "res": res, "iw": iw, "w": w}
+        evaluation = {"function": self.pointer, "arg": arg, "res": res, "iw": iw, "w": w}
         return _ffi.new("clikgen_evaluation *", evaluation), (arg, res, iw, w)
 
 
@@ -127,12 +135,17 @@ def _pointers(buffers: Mapping[str, Array], length: int) -> list[Any]:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CompiledController:
-    """The functions of a generated controller: `kinematics`, `jacobians` and `step`."""
+    """The functions of a generated controller: `kinematics`, `jacobians` and `step`.
+
+    `folder` holds the files it was compiled from, `compiler` is the one that was asked for, None for the preferred.
+    """
 
     manifest: Manifest
     kinematics: CompiledFunction
     jacobians: CompiledFunction
     step: CompiledFunction
+    folder: Path
+    compiler: Compiler | None
 
     @classmethod
     def load(cls, name_or_folder: str | Path, compiler: Compiler | None = None) -> Self:
@@ -142,6 +155,8 @@ class CompiledController:
         """
         folder = find_controller(name_or_folder)
         manifest = load_manifest(folder)
+        if manifest.target == "float":
+            raise BadInput(f"{folder}: wanted a controller in double, got one of --target float, for C alone")
         ffi = cffi.FFI()
         ffi.include(_ffi)
         ffi.cdef(_CALLS + "".join(_FUNCTION.format(info.symbol) for info in manifest.functions))
@@ -151,7 +166,8 @@ class CompiledController:
         except OSError as error:
             raise BadInput(f"{path}: cannot be loaded, delete it to compile anew: {error}") from None
         functions = {info.name: CompiledFunction(info, library) for info in manifest.functions}
-        return cls(manifest, functions["kinematics"], functions["jacobians"], functions["step"])
+        kinematics, jacobians, step = (functions[name] for name in ("kinematics", "jacobians", "step"))
+        return cls(manifest, kinematics, jacobians, step, folder.resolve(), compiler)
 
     def rollout(self, steps: int, values: Mapping[str, ArrayLike]) -> dict[str, Array]:
         """`steps` periods inside compiled C.

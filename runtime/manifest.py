@@ -85,7 +85,8 @@ def is_positive_definite(matrix: NDArray[np.float64]) -> bool:
 class FunctionInfo(Document):
     """One generated function in CasADi's C calling convention, with what a call needs.
 
-    `instructions` are carried out in one evaluation; the arrays arg, res, iw and w want room for `sz_...` entries.
+    `operations` are carried out in one evaluation at most; the arrays arg, res, iw and w want room for `sz_...`
+    entries.
     """
 
     name: str
@@ -93,7 +94,7 @@ class FunctionInfo(Document):
     description: str
     inputs: tuple[SignalInfo, ...]
     outputs: tuple[SignalInfo, ...]
-    instructions: int
+    operations: int
     sz_arg: int
     sz_res: int
     sz_iw: int
@@ -196,12 +197,18 @@ class ReferenceInfo(Document):
 
 
 class Manifest(Document):
-    """Everything a caller knows of a generated controller."""
+    """Everything a caller knows of a generated controller.
+
+    `target` is who wrote the C, and in which numbers: clikgen in double ("c") or float, or CasADi. `lanes` is how many
+    robots `<controller>_step_lanes` of `<controller>_lanes.c` steps at once; None where there is no such file.
+    """
 
     generator: Literal["clikgen"]
     controller: str
     description: str
     casadi: str
+    target: Literal["c", "float", "casadi"]
+    lanes: int | None = None
     spec_sha256: str
     source_sha256: dict[str, str]
     dimension: Literal[2, 3]

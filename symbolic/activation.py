@@ -22,7 +22,7 @@ class Boundary:
     """The contacts that a one-sided task watches.
 
     `contacts` are one a row; `pairs`, where given, all pairs that could close: an obstacle that is not the nearest
-    one is there too. `gradient` is Σ x (−∂d/∂q) over the contacts where there is a cheaper way to it than that sum.
+    one is there too. `summed` are Σ ½ x² and Σ x (−∂d/∂q) over the contacts where there is a cheaper way to them.
     """
 
     name: str
@@ -31,7 +31,7 @@ class Boundary:
     inputs: tuple[Signal, ...] = ()
     diagnostics: tuple[Signal, ...] = ()
     pairs: Callable[[], Sequence[Contact]] | None = None
-    gradient: ca.SX | None = None
+    summed: tuple[ca.SX, ca.SX] | None = None
 
     @property
     def squared_unit(self) -> str:

@@ -21,9 +21,8 @@ import casadi as ca
 
 from clikgen.symbolic.activation import Guard
 from clikgen.symbolic.contact import Contact
-from clikgen.symbolic.quadratic_program import MOST_STEPS, Program, Solver
+from clikgen.symbolic.quadratic_program import MOST_STEPS, Program, Solution
 from clikgen.symbolic.signals import Signal, result, symbol
-from clikgen.symbolic.stage import Stage
 from clikgen.symbolic.task import Task
 
 YIELD = 0.02  # ε of the first task
@@ -37,7 +36,7 @@ UNBOUND = 1e6  # [m/s, rad/s] the bound of a velocity without limits
 class Barrier:
     """The program as a stage, its solution u, and the signals around it."""
 
-    stage: Stage
+    stage: Solution
     velocity: ca.SX  # u (n_u, 1)
     parameters: tuple[Signal, ...]
     diagnostics: tuple[Signal, ...]
@@ -59,11 +58,10 @@ class Barrier:
             lower,
             upper,
         )
-        solver = Solver.of(program)
         names += ["the bounds of the velocities"] * lower.numel()
-        symbols = (ca.SX.sym("u", u.numel()), ca.SX.sym("slack", len(names)), ca.SX.sym("steps"), ca.SX.sym("solved"))
-        stage = Stage(symbols, program.arguments, solver.run, solver.instructions)
-        return cls(stage, symbols[0], parameters, _diagnostics(names, *symbols[1:]))
+        solution = Solution.of(program)
+        velocity, *reported = solution.symbols
+        return cls(solution, velocity, parameters, _diagnostics(names, *reported))
 
 
 def _diagnostics(names: Sequence[str], slack: ca.SX, steps: ca.SX, solved: ca.SX) -> tuple[Signal, ...]:

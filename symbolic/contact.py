@@ -23,7 +23,7 @@ class Contact:
     @property
     def depth(self) -> ca.SX:
         """x = s − d where positive, else 0."""
-        return ca.if_else(self.inside, self.margin - self.distance, 0)
+        return ca.fmax(self.margin - self.distance, 0)
 
     def moved_by(self, velocity_map: ca.SX) -> Self:
         """The contact in terms of the input velocity u, q̇ = S u."""

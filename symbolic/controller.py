@@ -16,7 +16,7 @@ from clikgen.symbolic.planner import Motion
 from clikgen.symbolic.signals import Signal, result, symbol
 from clikgen.symbolic.spec import ControllerSpec
 from clikgen.symbolic.stack import stack_notes
-from clikgen.symbolic.stage import Stage, composed, used_stages
+from clikgen.symbolic.stage import Procedure, Stage
 from clikgen.symbolic.task import Level, Task, TaskSpec
 from clikgen.symbolic.tree import KinematicTree
 
@@ -31,8 +31,13 @@ class ControllerFunction:
     description: str
     inputs: tuple[Signal, ...]
     outputs: tuple[Signal, ...]
-    casadi: ca.Function
-    instructions: int  # carried out in one evaluation
+    procedure: Procedure
+
+    @property
+    def casadi(self) -> ca.Function:
+        """The same as CasADi's function."""
+        labels = [signal.info.name for signal in self.inputs], [signal.info.name for signal in self.outputs]
+        return self.procedure.straightened().casadi(labels)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -133,25 +138,23 @@ def _step(
     period = symbol("period", (), "s", "sampling time T", "parameter", (1e-6, 10.0), spec.period)
     S = tree.velocity_map()
     dq_law = S @ command.u
-    q_raw = q.expression + period.expression * dq_law  # eq. 13
-    event, clearance = (sensing.event, sensing.clearance) if sensing else (ca.SX(0), None)
+    event, clearance = (sensing.event, sensing.closest.clearance) if sensing else (ca.SX(0), None)
     motion = Motion(
         robot=spec.robot,
-        q=q.expression,
-        q_raw=q_raw,
+        dq_law=dq_law,
         period=period.expression,
         velocity_map=S,
         event=event,
         clearance=clearance,
     )
     plan = spec.planner.build(motion, spec.filter)  # eqs. 16-19
-    dq = (plan.q_next - q.expression) / period.expression
+    q_next = q.expression + period.expression * plan.dq
 
     n, rate = q.info.shape, ", ".join(f"{joint.unit}/s" for joint in spec.robot.coordinates)
     outputs = [
-        result("q_next", plan.q_next, n, q.info.unit, "joint position one period on (eq. 19)", "state", feeds="q"),
-        result("dq", dq, n, rate, "joint velocity that leads there, (q_next − q)/T", "command"),
-        *_drive(tree, dq),
+        result("q_next", q_next, n, q.info.unit, "joint position one period on (eq. 19)", "state", feeds="q"),
+        result("dq", plan.dq, n, rate, "joint velocity that leads there, (q_next − q)/T", "command"),
+        *_drive(tree, plan.dq),
         result("dq_law", dq_law, n, rate, "joint velocity of the law alone (eq. 11)"),
         *(signal for task in tasks for signal in task.diagnostics),
         *command.diagnostics,
@@ -161,11 +164,11 @@ def _step(
     inputs = [q, *(signal for task in tasks for signal in task.inputs)]
     if sensing:
         inputs += sensing.inputs
-        points = (len(sensing.contacts),)
+        points = (len(sensing.closest.contacts),)
         outputs += [
             result("active", event, (), "1", "1 while d <= s for some point of interest, else 0"),
             result("distance", sensing.distance, points, "m", "d, each point to its closest obstacle"),
-            result("clearance", sensing.clearance, (), "m", "least d − s; negative is intrusion"),
+            result("clearance", sensing.closest.clearance, (), "m", "least d − s; negative is intrusion"),
         ]
     return [*inputs, *command.parameters, *plan.inputs, period], outputs
 
@@ -247,14 +250,11 @@ def _function(
 ) -> ControllerFunction:
     """The function of the state and the inputs it depends on, common subexpressions shared; raises BadInput."""
     columns = [signal.column for signal in outputs]
-    stages = used_stages(columns, stages)
-    needed = ca.vertcat(*columns, *(ca.vec(argument) for stage in stages for argument in stage.arguments))
-    used = tuple(signal for signal in inputs if signal.info.name == "q" or ca.depends_on(needed, signal.column))
+    all_inputs = Procedure.of(f"{spec.name}_{name}", [], columns, stages)
+    used = tuple(signal for signal in inputs if signal.info.name == "q" or all_inputs.depends_on(signal.column))
     names = [signal.info.name for signal in (*used, *outputs)]
     for signal_name in names:
         if names.count(signal_name) > 1:
             raise BadInput(f"two signals are called '{signal_name}': give the task another name")
-    labels = [signal.info.name for signal in used], [signal.info.name for signal in outputs]
-    given = [signal.column for signal in used]
-    function, instructions = composed(f"{spec.name}_{name}", given, columns, stages, labels)
-    return ControllerFunction(name, description, used, tuple(outputs), function, instructions)
+    procedure = replace(all_inputs, given=tuple(signal.column for signal in used))
+    return ControllerFunction(name, description, used, tuple(outputs), procedure)

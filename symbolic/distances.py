@@ -5,11 +5,33 @@ import casadi as ca
 COINCIDENT = 1e-12  # [m] nearer than this, the direction from one point to another is taken as +x
 
 
-def direction(toward: ca.SX) -> tuple[ca.SX, ca.SX]:
-    """The unit vector along `toward` (2 or 3, 1), +x where that is zero, and its length [m]."""
-    length = ca.sqrt(ca.sumsqr(toward))
-    first_axis = ca.SX.eye(toward.numel())[:, 0]
-    return ca.if_else(length > COINCIDENT, toward / length, first_axis), length
+def apart(toward: ca.SX, length: ca.SX) -> tuple[ca.SX, ca.SX]:
+    """The vector (2 or 3, 1) and its length where that is above COINCIDENT, else a unit vector along +x and 1."""
+    is_apart = length > COINCIDENT
+    first_axis = ca.densify(ca.SX.eye(toward.numel())[:, 0])
+    return ca.if_else(is_apart, toward, first_axis), ca.if_else(is_apart, length, 1)
+
+
+def direction(toward: ca.SX, squared: ca.SX | None = None) -> tuple[ca.SX, ca.SX]:
+    """The unit vector along `toward` (2 or 3, 1), +x where that is zero, and its length [m].
+
+    `squared` is its squared length, where that is known.
+    """
+    length = ca.sqrt(ca.sumsqr(toward) if squared is None else squared)
+    along, divisor = apart(toward, length)
+    return along / divisor, length
+
+
+def is_nearer(squared: ca.SX, radius: ca.SX, other_squared: ca.SX, other_radius: ca.SX) -> ca.SX:
+    """Whether √a − r < √b − ρ, the distances to two balls, from a, r and b, ρ: without a root.
+
+    With δ = r − ρ and h = a − b − δ² that is h < 2δ√b, so h|h| < 4δ|δ|b, and √b + δ > 0.
+    """
+    delta = radius - other_radius
+    square = delta**2
+    h = squared - other_squared - square
+    below = h * ca.fabs(h) < 4 * delta * ca.fabs(delta) * other_squared
+    return ca.logic_and(below, ca.logic_or(delta > 0, other_squared > square))
 
 
 def nearest_on_segment(start: ca.SX, end: ca.SX, point: ca.SX) -> ca.SX:

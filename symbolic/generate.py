@@ -21,30 +21,36 @@ from clikgen.runtime.manifest import (
     sha256,
 )
 from clikgen.symbolic import c_code
+from clikgen.symbolic.c_code import Target
 from clikgen.symbolic.controller import Controller, ControllerFunction, build
+from clikgen.symbolic.emitter import LANES
 from clikgen.symbolic.one_sided import OneSidedSpec
 from clikgen.symbolic.robot import Robot
 from clikgen.symbolic.spec import ControllerSpec, read_spec_file
 from clikgen.symbolic.task import TaskSpec
 
 
-def generate(spec: ControllerSpec) -> dict[str, str]:
+def generate(spec: ControllerSpec, target: Target = "c") -> dict[str, str]:
     """File name -> text for a controller: `<name>.c`, `<name>.h`, `manifest.json`, the manifest last.
 
-    The same spec gives the same text on every machine. Raises BadInput when the spec asks for what its robot
-    does not have.
+    Where the target is "c" and the step a straight line, also `<name>_lanes.c`, the step of many robots at once. The
+    same spec gives the same text on every machine. Raises BadInput when the spec asks for what its robot does not
+    have.
     """
-    return _files(build(spec))
+    return _files(build(spec), target)
 
 
-def _files(controller: Controller) -> dict[str, str]:
+def _files(controller: Controller, target: Target) -> dict[str, str]:
     spec = controller.spec
-    functions = [_function_info(function) for function in controller.functions]
+    functions = [_function_info(function, target) for function in controller.functions]
     sources = {
-        f"{spec.name}.c": c_code.source(controller, functions),
-        f"{spec.name}.h": c_code.header(controller, functions),
+        f"{spec.name}.c": c_code.source(controller, functions, target),
+        f"{spec.name}.h": c_code.header(controller, functions, target),
     }
-    manifest = _manifest(controller, functions, sources)
+    lanes = c_code.lanes_source(controller) if target == "c" else None
+    if lanes is not None:
+        sources[f"{spec.name}_lanes.c"] = lanes
+    manifest = _manifest(controller, functions, sources, target)
     return {**sources, "manifest.json": json_text(manifest.model_dump(mode="json", exclude_none=True))}
 
 
@@ -57,40 +63,44 @@ class Generated:
     notes: tuple[str, ...]
 
 
-def generate_file(path: Path) -> Generated:
+def generate_file(path: Path, target: Target = "c") -> Generated:
     """The controller of the spec in `path`; raises BadInput that names the file."""
     read = read_spec_file(path)
     try:
         controller = build(read.spec)
-        return Generated(read.spec.name, _files(controller), (*read.notes, *controller.notes))
+        return Generated(read.spec.name, _files(controller, target), (*read.notes, *controller.notes))
     except BadInput as error:
         raise BadInput(f"{path}: {error}") from None
 
 
-def _function_info(function: ControllerFunction) -> FunctionInfo:
-    compiled = function.casadi
-    looped = compiled.is_a("MXFunction")  # the others keep their temporaries in local variables
+def _function_info(function: ControllerFunction, target: Target) -> FunctionInfo:
+    sizes = {"sz_arg": len(function.inputs), "sz_res": len(function.outputs), "sz_iw": 0, "sz_w": 0}
+    if target == "casadi":
+        compiled = function.casadi
+        looped = compiled.is_a("MXFunction")  # the others keep their temporaries in local variables
+        sizes = {name: getattr(compiled, name)() * (looped or name in ("sz_arg", "sz_res")) for name in sizes}
     return FunctionInfo(
         name=function.name,
-        symbol=compiled.name(),
+        symbol=function.procedure.name,
         description=function.description,
         inputs=tuple(signal.info for signal in function.inputs),
         outputs=tuple(signal.info for signal in function.outputs),
-        instructions=function.instructions,
-        sz_arg=compiled.sz_arg(),
-        sz_res=compiled.sz_res(),
-        sz_iw=compiled.sz_iw() if looped else 0,
-        sz_w=compiled.sz_w() if looped else 0,
+        operations=c_code.scalar(function.procedure).operations,
+        **sizes,
     )
 
 
-def _manifest(controller: Controller, functions: Iterable[FunctionInfo], sources: Mapping[str, str]) -> Manifest:
+def _manifest(
+    controller: Controller, functions: Iterable[FunctionInfo], sources: Mapping[str, str], target: Target
+) -> Manifest:
     spec, robot = controller.spec, controller.spec.robot
     return Manifest(
         generator="clikgen",
         controller=spec.name,
         description=spec.description,
         casadi=metadata.version("casadi"),
+        target=target,
+        lanes=LANES if f"{spec.name}_lanes.c" in sources else None,
         spec_sha256=spec.sha256(),
         source_sha256={name: sha256(text.encode()) for name, text in sources.items()},
         dimension=robot.dimension,

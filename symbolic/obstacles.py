@@ -1,6 +1,6 @@
 """Obstacles, balls, capsules and half-spaces that may move, and what every point of interest senses of them."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, fields
 from typing import Annotated, Self
 
@@ -10,13 +10,21 @@ from pydantic import Field
 from clikgen.runtime.documents import Document
 from clikgen.runtime.manifest import FAR
 from clikgen.symbolic.contact import Contact
-from clikgen.symbolic.distances import direction, nearest_on_segment
+from clikgen.symbolic.distances import apart, direction, is_nearer, nearest_on_segment
+from clikgen.symbolic.robot import PointOfInterest
 from clikgen.symbolic.signals import Signal, symbol
-from clikgen.symbolic.stage import Stage
-from clikgen.symbolic.tree import KinematicTree, Push
+from clikgen.symbolic.stage import Body, Loop, Stage
+from clikgen.symbolic.tree import KinematicTree, Wrench
 
-UNROLLED = 64  # pairs of points and obstacles; more of them are looped over, as the code would outgrow the cache
 WATCHED = 5  # obstacles that a barrier keeps off a point at once; of more, the nearest ones
+ABSENT = {
+    "obstacle": {"center": 0.0, "radius": -FAR},
+    "capsule": {"start": 0.0, "end": 0.0, "radius": -FAR},
+    "half_space": {"normal": 0.0, "offset": -4 * FAR},
+}
+"""What stands for an obstacle that is not there, whatever its place holds: it is never the nearest one."""
+
+Symbols = Sequence[ca.SX]
 Capacity = Annotated[int, Field(strict=True, ge=0, le=100)]
 
 
@@ -85,28 +93,65 @@ class Obstacles:
         """How many obstacles there can be, of all kinds."""
         return self.capacity.maximum + self.capacity.capsules + self.capacity.half_spaces
 
-    @property
-    def shapes(self) -> "Shapes":
-        """What they are in space, those that are not there out of the way."""
-        at = {name: signal.expression for name, signal in self.signals.items()}
+    def shapes(self, stages: list[Stage] | None = None) -> "Shapes":
+        """What they are in space, those that are not there out of the way; in loops, where there are `stages` to add.
+
+        These are balls and capsules of radius −FAR about the origin, and half-spaces that end 4 FAR away.
+        """
+        at, found = {name: signal.expression for name, signal in self.signals.items()}, dict[str, ca.SX]()
+        for kind, absent in ABSENT.items():
+            if f"{kind}_count" in at:
+                values = [at[f"{kind}_{name}"] for name in absent]
+                there = _where_there(values, at[f"{kind}_count"], list(absent.values()), stages)
+                found |= {f"{kind}_{name}": value for name, value in zip(absent, there, strict=True)}
         nothing, none = ca.SX(0, self.dimension), ca.SX(0, 1)
         return Shapes(
-            at.get("obstacle_center", nothing),
+            found.get("obstacle_center", nothing),
             at.get("obstacle_velocity", nothing),
-            _where_there(at["obstacle_radius"], at["obstacle_count"], -FAR) if "obstacle_radius" in at else none,
-            at.get("capsule_start", nothing),
-            at.get("capsule_end", nothing),
-            _where_there(at["capsule_radius"], at["capsule_count"], -FAR) if "capsule_radius" in at else none,
-            _where_there(at["half_space_normal"], at["half_space_count"], 0) if "half_space_normal" in at else nothing,
-            _where_there(at["half_space_offset"], at["half_space_count"], -4 * FAR)
-            if "half_space_offset" in at
-            else none,
+            found.get("obstacle_radius", none),
+            found.get("capsule_start", nothing),
+            found.get("capsule_end", nothing),
+            found.get("capsule_radius", none),
+            found.get("half_space_normal", nothing),
+            found.get("half_space_offset", none),
         )
 
 
-def _where_there(values: ca.SX, count: ca.SX, absent: float) -> ca.SX:
-    """The first `count` rows of the values (k, any), and `absent` instead of the rest."""
-    return ca.vertcat(*(ca.if_else(k < count, values[k, :], absent) for k in range(values.shape[0])))
+def _where_there(
+    values: Sequence[ca.SX], count: ca.SX, absent: Sequence[float], stages: list[Stage] | None
+) -> list[ca.SX]:
+    """The first `count` rows of each of the values (k, any), and `absent` instead of the rest."""
+    numbers = ca.SX(ca.DM(range(values[0].shape[0])))
+
+    def chosen(number: ca.SX, count: ca.SX, row: ca.SX, instead: float) -> ca.SX:
+        return ca.if_else(number < count, row, instead)
+
+    if stages is None:
+        return [
+            ca.vertcat(*(chosen(numbers[k], count, value[k, :], instead) for k in range(value.shape[0])))
+            for value, instead in zip(values, absent, strict=True)
+        ]
+
+    def body(_: Symbols, columns: Symbols, shared: Symbols, __: list[Stage]) -> tuple[list[ca.SX], list[ca.SX]]:
+        number, *rows = columns
+        return [], [chosen(number, shared[0], row, instead) for row, instead in zip(rows, absent, strict=True)]
+
+    over = [numbers.T, *(value.T for value in values)]
+    return [found.T for found in _looped("there", body, [], over, [count], stages)[1]]
+
+
+def _looped(
+    name: str,
+    body: Body,
+    carried: Sequence[ca.SX],
+    over: Sequence[ca.SX],
+    shared: Sequence[ca.SX],
+    stages: list[Stage],
+) -> tuple[tuple[ca.SX, ...], tuple[ca.SX, ...]]:
+    """What a loop added to the stages carries in the end, and its results side by side."""
+    loop = Loop.of(name, body, carried, over, shared)
+    stages.append(loop)
+    return loop.symbols[: len(carried)], loop.symbols[len(carried) :]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -124,106 +169,147 @@ class Shapes:
 
     @property
     def arrays(self) -> tuple[ca.SX, ...]:
-        """All of them, in order."""
-        return tuple(getattr(self, field.name) for field in fields(self))
+        """All of them, in order, an obstacle a column."""
+        return tuple(getattr(self, one.name).T for one in fields(self))
 
-    def symbols(self) -> "Shapes":
-        """As many shapes, of new symbols."""
-        return Shapes(*(ca.SX.sym("shape", *array.shape) for array in self.arrays))
+    @classmethod
+    def from_arrays(cls, arrays: Sequence[ca.SX]) -> Self:
+        """The shapes whose arrays these are."""
+        return cls(*(array.T for array in arrays))
 
-    def closest(self, point: ca.SX) -> tuple[ca.SX, ca.SX]:
-        """D and u of eqs. 8-9 for the closest obstacle to `point` (dimension, 1).
+    def closest(self, point: ca.SX, stages: list[Stage]) -> tuple[ca.SX, ca.SX, ca.SX]:
+        """D of eq. 8, a vector t and its length |t| > 0, with u = t/|t| of eq. 9, of the closest obstacle to `point`.
 
-        d [m] is the distance to its surface, negative inside it and FAR without an obstacle; u (dimension, 1) is
-        the unit vector toward its nearest point or axis, +x where the point sits on a centre or axis.
+        d [m] is the distance to its surface, negative inside it and at most FAR; t (dimension, 1) points toward its
+        nearest point or axis, along +x where the `point` (dimension, 1) sits on a centre or axis. Squares are
+        compared, so that balls and capsules together cost one root, in loops that are added to the stages.
         """
-        first_axis = ca.SX.eye(point.numel())[:, 0]
-        distance, toward = ca.SX(FAR), first_axis
-        for distance_k, toward_k, _ in self._each(point):
-            closer = distance_k < distance
-            distance = ca.if_else(closer, distance_k, distance)
-            toward = ca.if_else(closer, toward_k, toward)
-        return distance, direction(toward)[0]
+        best = _closest_of(_Ball.at, (self.center.T, self.radius.T), None, point, stages)
+        capsules = self.start.T, self.end.T, self.thickness.T
+        best = _closest_of(_Ball.of_capsule, capsules, best, point, stages)
+        if best is None:
+            distance, toward, length = ca.SX(FAR), ca.SX.eye(point.numel())[:, 0], ca.SX(1)
+        else:
+            root = ca.sqrt(best.squared)
+            distance = ca.fmin(root - best.radius, FAR)
+            toward, length = apart(best.toward, root)
+        for k in range(self.offset.numel()):
+            normal = self.normal[k, :].T
+            away = ca.dot(normal, point) - self.offset[k]
+            nearer = away < distance
+            distance = ca.if_else(nearer, away, distance)
+            inward, size = apart(-normal, ca.sqrt(ca.sumsqr(normal)))
+            toward, length = ca.if_else(nearer, inward, toward), ca.if_else(nearer, size, length)
+        return distance, toward, length
 
     def each(self, point: ca.SX) -> Iterator[tuple[ca.SX, ca.SX, ca.SX]]:
         """D, u and uᵀȯ, how fast it moves away [m/s], for every obstacle to `point` (dimension, 1)."""
-        for distance, toward, velocity in self._each(point):
-            u, _ = direction(toward)
-            yield distance, u, ca.dot(u, velocity)
-
-    def nearest(self, point: ca.SX, count: int) -> tuple[ca.SX, ca.SX, ca.SX]:
-        """D (count, 1), u (dimension, count) and uᵀȯ (count, 1) of the `count` nearest obstacles, the nearest first."""
-        found = list(self.each(point))
-        distances, numbers = [ca.SX(2 * FAR)] * count, [ca.SX(-1)] * count
-        for number, (distance, _, _) in enumerate(found):
-            carried, carried_number = distance, ca.SX(number)
-            for j in range(count):  # insertion: what is nearer takes the place, the other one is carried on
-                nearer = carried < distances[j]
-                distances[j], carried = ca.fmin(distances[j], carried), ca.fmax(distances[j], carried)
-                numbers[j], carried_number = (
-                    ca.if_else(nearer, carried_number, numbers[j]),
-                    ca.if_else(nearer, numbers[j], carried_number),
-                )
-        towards, openings = [], []
-        for number_j in numbers:
-            toward, opening = ca.SX.zeros(point.numel()), ca.SX(0)
-            for number, (_, u, rate) in enumerate(found):
-                toward += ca.if_else(number_j == number, u, 0)
-                opening += ca.if_else(number_j == number, rate, 0)
-            towards.append(toward)
-            openings.append(opening)
-        return ca.vertcat(*distances), ca.horzcat(*towards), ca.vertcat(*openings)
-
-    def _each(self, point: ca.SX) -> Iterator[tuple[ca.SX, ca.SX, ca.SX]]:
-        """Of every obstacle its distance [m], a vector toward it, and its velocity [m/s]."""
-        rest = ca.SX.zeros(point.numel())
         for k in range(self.radius.numel()):
-            toward = self.center[k, :].T - point
-            yield ca.sqrt(ca.sumsqr(toward)) - self.radius[k], toward, self.velocity[k, :].T
+            yield _Ball.at(point, self.center[k, :].T, self.radius[k]).contact(self.velocity[k, :].T)
         for k in range(self.thickness.numel()):
-            toward = nearest_on_segment(self.start[k, :].T, self.end[k, :].T, point) - point
-            yield ca.sqrt(ca.sumsqr(toward)) - self.thickness[k], toward, rest
+            ball = _Ball.of_capsule(point, self.start[k, :].T, self.end[k, :].T, self.thickness[k])
+            yield ball.contact(ca.SX.zeros(point.numel()))
         for k in range(self.offset.numel()):
             normal = self.normal[k, :].T
-            yield ca.dot(normal, point) - self.offset[k], -normal, rest
+            yield ca.dot(normal, point) - self.offset[k], -direction(normal)[0], ca.SX(0)
+
+    def nearest(self, point: ca.SX, count: int, stages: list[Stage]) -> tuple[ca.SX, ca.SX, ca.SX]:
+        """D (1, count), u (dimension, count) and uᵀȯ (1, count) of the `count` nearest obstacles, the nearest first.
+
+        The balls are searched in a loop, which is added to the stages.
+        """
+        best = ca.repmat(ca.vertcat(2 * FAR, ca.SX.eye(point.numel())[:, 0], 0), 1, count)
+
+        def body(mine: Symbols, columns: Symbols, shared: Symbols, _: list[Stage]) -> tuple[list[ca.SX], list[ca.SX]]:
+            center, radius, velocity = columns
+            contact = _Ball.at(shared[0], center, radius).contact(velocity)
+            return [_inserted(ca.vertcat(*contact), mine[0])], []
+
+        if self.radius.numel():
+            over = [self.center.T, self.radius.T, self.velocity.T]
+            (best,), _ = _looped("nearest", body, [best], over, [point], stages)
+        rest = Shapes.from_arrays([array[:, : 0 if k < 3 else None] for k, array in enumerate(self.arrays)])
+        for contact in rest.each(point):
+            best = _inserted(ca.vertcat(*contact), best)
+        return best[0, :], best[1:-1, :], best[-1, :]
 
 
-def looped(shapes: Shapes, places: ca.SX) -> Stage:
-    """The closest obstacle to each of the `places` (dimension, points) by one small function called for each point.
-
-    The contacts are then expressions of its symbols: d (1, points) and u (dimension, points).
-    """
-    return _for_each_place("closest", lambda others, place: list(others.closest(place)), shapes, places)
-
-
-def watched(shapes: Shapes, places: ca.SX) -> Stage:
-    """The WATCHED nearest obstacles to each of the `places` (dimension, points), by a function called for each point.
-
-    Its symbols are d (WATCHED, points), the u one below the other (WATCHED · dimension, points), uᵀȯ (WATCHED, points).
-    """
-
-    def nearest(others: Shapes, place: ca.SX) -> list[ca.SX]:
-        distance, toward, opening = others.nearest(place, WATCHED)
-        return [distance, ca.vec(toward), opening]
-
-    return _for_each_place("nearest", nearest, shapes, places)
+def _inserted(contact: ca.SX, best: ca.SX) -> ca.SX:
+    """The nearest of contacts d, u, uᵀȯ in a column, the nearest first: what is nearer takes the place of another."""
+    kept = []
+    for j in range(best.shape[1]):
+        nearer = contact[0] < best[0, j]
+        kept.append(ca.if_else(nearer, contact, best[:, j]))
+        contact = ca.if_else(nearer, best[:, j], contact)
+    return ca.horzcat(*kept)
 
 
-def _for_each_place(name: str, what: Callable[[Shapes, ca.SX], list[ca.SX]], shapes: Shapes, places: ca.SX) -> Stage:
-    """A function of shapes and place, called in a loop over the `places` (dimension, points)."""
-    dimension, points = places.shape
-    place, others = ca.SX.sym("place", dimension), shapes.symbols()
-    outputs = ca.cse(what(others, place))
-    both = zip(shapes.arrays, others.arrays, strict=True)
-    used = [(given, own) for given, own in both if ca.depends_on(ca.veccat(*outputs), ca.vec(own))]
-    function = ca.Function(name, [place, *(own for _, own in used)], outputs)
-    shared = list(range(1, 1 + len(used)))  # the same for every point
-    return Stage(
-        symbols=tuple(ca.SX.sym(name, function.size1_out(i), points) for i in range(function.n_out())),
-        arguments=(places, *(given for given, _ in used)),
-        run=lambda values: list(function.map(f"{name}_to_each", "serial", points, shared, [])(*values)),
-        instructions=points * function.n_instructions(),
-    )
+@dataclass(frozen=True, slots=True, eq=False)
+class _Ball:
+    """A ball as a point sees it."""
+
+    toward: ca.SX  # (dimension, 1) [m], from the point to the centre
+    squared: ca.SX  # its squared length
+    radius: ca.SX
+
+    @classmethod
+    def at(cls, point: ca.SX, center: ca.SX, radius: ca.SX) -> Self:
+        """Of this centre (dimension, 1) and radius."""
+        toward = center - point
+        return cls(toward, ca.sumsqr(toward), radius)
+
+    @classmethod
+    def of_capsule(cls, point: ca.SX, start: ca.SX, end: ca.SX, radius: ca.SX) -> Self:
+        """The one in a capsule that is nearest to the point."""
+        return cls.at(point, nearest_on_segment(start, end, point), radius)
+
+    def or_nearer(self, other: Self) -> Self:
+        """The nearer of the two, this one where they are as near as each other."""
+        nearer = is_nearer(other.squared, other.radius, self.squared, self.radius)
+        mine = ca.vertcat(self.toward, self.squared, self.radius)
+        chosen = ca.if_else(nearer, ca.vertcat(other.toward, other.squared, other.radius), mine)
+        return type(self)(chosen[:-2], chosen[-2], chosen[-1])
+
+    def contact(self, velocity: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
+        """D, u, and uᵀȯ of its `velocity` ȯ (dimension, 1)."""
+        u, length = direction(self.toward, self.squared)
+        return length - self.radius, u, ca.dot(u, velocity)
+
+
+def _closest_of(
+    ball: Callable[..., _Ball],
+    columns: Sequence[ca.SX],
+    best: _Ball | None,
+    point: ca.SX,
+    stages: list[Stage],
+) -> _Ball | None:
+    """The closest to the point (dimension, 1) of `best` and the balls that the columns stand for."""
+    count = columns[0].shape[1]
+    if count <= 2:
+        for k in range(count):
+            one = ball(point, *(column[:, k] for column in columns))
+            best = one if best is None else best.or_nearer(one)
+        return best
+    if best is None:
+        best, columns = ball(point, *(column[:, 0] for column in columns)), [column[:, 1:] for column in columns]
+
+    def body(mine: Symbols, columns: Symbols, shared: Symbols, _: list[Stage]) -> tuple[list[ca.SX], list[ca.SX]]:
+        found = _Ball(*mine).or_nearer(ball(shared[0], *columns))
+        return [found.toward, found.squared, found.radius], []
+
+    carried, _ = _looped("closest", body, [best.toward, best.squared, best.radius], columns, [point], stages)
+    return _Ball(*carried)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ClosestContacts:
+    """Of every point of interest its contact with its closest obstacle, and what they come to together."""
+
+    contacts: tuple[Contact, ...]
+    potential: ca.SX  # Σ ½ x² [m²]
+    wrenches: tuple[Wrench, ...]  # of the forces x u at the points
+    clearance: ca.SX  # the least d − s [m]: negative is intrusion
+    searches: tuple[Stage, ...]  # the loops for them
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -232,13 +318,9 @@ class Sensing:
 
     obstacles: Obstacles
     influence_radius: Signal  # (points,)
-    places: ca.SX  # (dimension, points) [m]
-    jacobians: tuple[ca.SX, ...]  # J_r of each point (dimension, n)
-    shapes: Shapes
-    contacts: tuple[Contact, ...]
-    pushes: tuple[Push, ...]  # of each point, the unit vector toward its obstacle
-    loop: Stage | None  # where there are many pairs, the search for the closest obstacle
-    watch: Stage | None  # where there are many obstacles, the search for those that a barrier watches
+    tree: KinematicTree
+    closest: ClosestContacts
+    watch: tuple[Stage, ...]  # where there are many obstacles, the search for those that a barrier watches
 
     @classmethod
     def of(cls, tree: KinematicTree, obstacles: Obstacles) -> Self:
@@ -253,38 +335,29 @@ class Sensing:
             (1e-6, 1e3),
             [point.influence_radius for point in points],
         )
-        places = ca.horzcat(*(tree.position(point.link, point.offset) for point in points))
-        shapes = obstacles.shapes
-        loop = looped(shapes, places) if len(points) * obstacles.places > UNROLLED else None
-        jacobians = tuple(tree.position_jacobian(point.link, point.offset) for point in points)
-        contacts, pushes = [], []
-        for i, point in enumerate(points):
-            place = places[:, i]
-            distance, toward = (loop.symbols[0][i], loop.symbols[1][:, i]) if loop else shapes.closest(place)
-            contacts.append(Contact(distance, radius.expression[i], toward.T @ jacobians[i]))
-            pushes.append(Push(point.link, place, toward))
-        watch = watched(shapes, places) if obstacles.places > WATCHED else None
-        return cls(obstacles, radius, places, jacobians, shapes, tuple(contacts), tuple(pushes), loop, watch)
+        closest = _closest_contacts(tree, obstacles, radius.expression)
+        watch = _watched(tree, obstacles) if obstacles.places > WATCHED else ()
+        return cls(obstacles, radius, tree, closest, watch)
 
     @property
     def stages(self) -> tuple[Stage, ...]:
         """The searches that are loops."""
-        return tuple(stage for stage in (self.loop, self.watch) if stage)
+        return (*self.closest.searches, *self.watch)
 
     def pairs(self) -> list[Contact]:
         """The contact of every point of interest with every obstacle, or with the WATCHED nearest ones of more."""
         return [
-            Contact(distance, self.influence_radius.expression[i], toward.T @ J, opening)
-            for i, J in enumerate(self.jacobians)
+            Contact(distance, self.influence_radius.expression[i], toward.T @ _jacobian(self.tree, point), opening)
+            for i, point in enumerate(self.tree.robot.points_of_interest)
             for distance, toward, opening in self._near(i)
         ]
 
     def _near(self, i: int) -> Iterator[tuple[ca.SX, ca.SX, ca.SX]]:
         """D, u and uᵀȯ of the obstacles that a barrier keeps off point i."""
-        if self.watch is None:
-            yield from self.shapes.each(self.places[:, i])
+        if not self.watch:
+            yield from self.obstacles.shapes().each(_place(self.tree, self.tree.robot.points_of_interest[i]))
             return
-        distance, towards, opening = (symbols[:, i] for symbols in self.watch.symbols)
+        distance, towards, opening = (symbols[:, i] for symbols in self.watch[-1].symbols)
         dimension = self.obstacles.dimension
         for k in range(WATCHED):
             yield distance[k], towards[k * dimension : (k + 1) * dimension], opening[k]
@@ -297,20 +370,107 @@ class Sensing:
     @property
     def distance(self) -> ca.SX:
         """D of every point of interest, shape (points, 1) [m]."""
-        return ca.vertcat(*(contact.distance for contact in self.contacts))
-
-    @property
-    def clearance(self) -> ca.SX:
-        """The least d − s over the points of interest [m]: negative is intrusion."""
-        return ca.mmin(self.distance - self.influence_radius.expression)
+        return ca.vertcat(*(contact.distance for contact in self.closest.contacts))
 
     @property
     def event(self) -> ca.SX:
         """1 where some influence region meets an obstacle, 𝓘 ∩ 𝓞 ≠ ∅ (eq. 18), else 0."""
-        event = ca.SX(0)
-        for contact in self.contacts:
-            event = ca.logic_or(event, contact.inside)
-        return event
+        return self.closest.clearance <= 0
+
+
+def _place(tree: KinematicTree, point: PointOfInterest) -> ca.SX:
+    return tree.position(point.link, point.offset)
+
+
+def _jacobian(tree: KinematicTree, point: PointOfInterest) -> ca.SX:
+    return tree.position_jacobian(point.link, point.offset)
+
+
+def _places(tree: KinematicTree, stages: list[Stage]) -> ca.SX:
+    """Where every point of interest is, (dimension, points) [m], link by link."""
+    points, d = tree.robot.points_of_interest, tree.robot.dimension
+    places = list[ca.SX]([ca.SX()] * len(points))
+
+    def body(_: Symbols, columns: Symbols, shared: Symbols, __: list[Stage]) -> tuple[list[ca.SX], list[ca.SX]]:
+        return [], [shared[1] + shared[0] @ columns[0]]
+
+    for link, here in _by_link(tree).items():
+        pose = tree.poses[link]
+        axes = [k for k in range(3) if any(not pose.rotation[i, k].is_zero() for i in range(d))]
+        offsets = ca.SX(ca.DM([[points[i].offset[k] for i in here] for k in axes]))
+        _, (found,) = _looped("place", body, [], [offsets], [pose.rotation[:d, axes], pose.position[:d]], stages)
+        for k, i in enumerate(here):
+            places[i] = found[:, k]
+    return ca.horzcat(*places)
+
+
+def _by_link(tree: KinematicTree) -> dict[str, list[int]]:
+    """The numbers of the points of interest on each link that has some."""
+    links: dict[str, list[int]] = {}
+    for i, point in enumerate(tree.robot.points_of_interest):
+        links.setdefault(point.link, []).append(i)
+    return links
+
+
+def _closest_contacts(tree: KinematicTree, obstacles: Obstacles, radius: ca.SX) -> ClosestContacts:
+    """Each point against the obstacles, in loops over points and obstacles; radius (points, 1) [m]."""
+    points, stages = tree.robot.points_of_interest, list[Stage]()
+    places, arrays = _places(tree, stages), obstacles.shapes(stages).arrays
+
+    def sensed(_: Symbols, columns: Symbols, shared: Symbols, inner: list[Stage]) -> tuple[list[ca.SX], list[ca.SX]]:
+        place, s = columns
+        distance, toward, length = Shapes.from_arrays(_restored(shared, arrays)).closest(place, inner)
+        wrench, strength = Wrench.at("", place, toward), ca.fmax(s - distance, 0) / length
+        return [], [distance, toward / length, distance - s, strength * wrench.force, strength * wrench.moment]
+
+    _, (distance, u, clearance, force, moment) = _looped(
+        "sense", sensed, [], [places, radius.T], [array for array in arrays if array.numel()], stages
+    )
+
+    def added(mine: Symbols, columns: Symbols, _: Symbols, __: list[Stage]) -> tuple[list[ca.SX], list[ca.SX]]:
+        return [total + one for total, one in zip(mine, columns, strict=True)], []
+
+    wrenches = []
+    for link, here in _by_link(tree).items():
+        forces, moments = force[:, here], moment[:, here]
+        nothing = [ca.SX.zeros(forces.shape[0]), ca.SX.zeros(moments.shape[0])]
+        total, _ = _looped("add", added, nothing, [forces, moments], [], stages)
+        wrenches.append(Wrench(link, *total))
+
+    def least(mine: Symbols, columns: Symbols, _: Symbols, __: list[Stage]) -> tuple[list[ca.SX], list[ca.SX]]:
+        potential, lowest = mine
+        return [potential + ca.fmax(-columns[0], 0) ** 2, ca.fmin(columns[0], lowest)], []
+
+    (potential, lowest), _ = _looped("least", least, [ca.SX(0), ca.SX(2 * FAR)], [clearance], [], stages)
+    contacts = tuple(
+        Contact(distance[i], radius[i], u[:, i].T @ _jacobian(tree, point)) for i, point in enumerate(points)
+    )
+    return ClosestContacts(contacts, potential / 2, tuple(wrenches), lowest, tuple(stages))
+
+
+def _restored(given: Sequence[ca.SX], arrays: Sequence[ca.SX]) -> list[ca.SX]:
+    """What is given for those of the arrays that are not empty, among the empty ones."""
+    left = iter(given)
+    return [next(left) if array.numel() else array for array in arrays]
+
+
+def _watched(tree: KinematicTree, obstacles: Obstacles) -> tuple[Stage, ...]:
+    """The WATCHED nearest obstacles to each point, in a loop over the points; its stage is the last.
+
+    Its symbols are d (WATCHED, points), the u one below the other (WATCHED · dimension, points), uᵀȯ (WATCHED, points).
+    """
+    places = ca.horzcat(*(_place(tree, point) for point in tree.robot.points_of_interest))
+    stages = list[Stage]()
+    arrays = obstacles.shapes(stages).arrays
+    shapes = [array for array in arrays if array.numel()]
+
+    def body(_: Symbols, columns: Symbols, shared: Symbols, inner: list[Stage]) -> tuple[list[ca.SX], list[ca.SX]]:
+        there = Shapes.from_arrays(_restored(shared, arrays))
+        distance, towards, opening = there.nearest(columns[0], WATCHED, inner)
+        return [], [distance.T, ca.vec(towards), opening.T]
+
+    _looped("watched", body, [], [places], shapes, stages)
+    return tuple(stages)
 
 
 def _points(name: str, maximum: int, dimension: int, description: str) -> Signal:

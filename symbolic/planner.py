@@ -22,23 +22,23 @@ class Motion:
     """A period of the loop as the law leaves it to filter and planner."""
 
     robot: Robot
-    q: ca.SX  # (n, 1) where it begins
-    q_raw: ca.SX  # (n, 1) where the law leads, eq. 13
+    dq_law: ca.SX  # (n, 1) the law's velocity, (q_i − q_{i−1})/T of eq. 13
     period: ca.SX  # T [s]
     velocity_map: ca.SX  # S(q), q̇ = S u
     event: ca.SX  # 1 while some influence region meets an obstacle, else 0
     clearance: ca.SX | None  # the least d − s [m]; None where there is nothing to meet
 
-    def filtered(self, chosen: "AnyFilter", q_previous: ca.SX) -> tuple[ca.SX, tuple[Signal, ...]]:
-        """q_filtered of eq. 16 with `q_previous` as q_{i−1}, both (n, 1), and the inputs the filter needs."""
-        return chosen.build(self.q_raw, q_previous, self.period, self.robot.input_of)
+    def share(self, lam: ca.SX, chosen: "AnyFilter") -> tuple[ca.SX, tuple[Signal, ...]]:
+        """B = 1 − λ(1 − β), what eqs. 16 and 17 together leave of q_i − q_{i−1}: (n, 1), and the filter's inputs."""
+        beta, inputs = chosen.build(self.period, self.robot.input_of)
+        return 1 - lam * (1 - beta), inputs
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Plan:
-    """Where the robot goes, by which λ, and the signals that takes."""
+    """How fast the robot goes, by which λ, and the signals that takes."""
 
-    q_next: ca.SX  # (n, 1), eq. 17
+    dq: ca.SX  # (n, 1), (q_i − q)/T of eq. 17
     lam: ca.SX  # λ
     inputs: tuple[Signal, ...]
     outputs: tuple[Signal, ...] = ()

@@ -21,6 +21,8 @@ from typing import Self
 
 import casadi as ca
 
+from clikgen.symbolic.stage import Stage
+
 STEPS_INLINE = 6  # steps whose results are not copied; most programs need no more
 DOUBLINGS = 6  # of the step after those: 2^6 further steps at most
 MOST_STEPS = STEPS_INLINE + 2**DOUBLINGS
@@ -126,6 +128,30 @@ class Solver:
         either = ca.Function.if_else(f"{name}_choice", steps, ca.Function("qp_same", given, state))
         half = steps.call(given)
         return ca.Function(name, given, either.call([half[-1][0] >= 0, *problem, *half]))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Solution(Stage):
+    """The solution of a program: u (n, 1), by how much rows and bounds are violated, steps taken, whether solved."""
+
+    program: Program
+
+    @classmethod
+    def of(cls, program: Program) -> Self:
+        """Of this program."""
+        rows = program.limits.numel() + program.lower.numel()
+        sizes = {"u": program.start.numel(), "slack": rows, "steps": 1, "solved": 1}
+        symbols = tuple(ca.SX.sym(name, size) for name, size in sizes.items())
+        return cls(name="program", symbols=symbols, arguments=program.arguments, program=program)
+
+    @property
+    def operations(self) -> int:
+        """At most, in generated C."""
+        return operations(self.program)
+
+    def run(self, values: Sequence[ca.MX]) -> list[ca.MX]:
+        """By CasADi's functions."""
+        return Solver.of(self.program).run(values)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -302,6 +328,16 @@ class _Tableau:
             a[i] += ca.if_else(here, sign, 0)
             b += ca.if_else(here, ca.if_else(sign > 0, self.program.upper[i], -self.program.lower[i]), 0)
         return ca.vertcat(*a), b, ca.if_else(p >= self.m, FIRM, 1)
+
+
+def operations(program: Program) -> int:
+    """How many operations the solver in C carries out at most: in every step with all slots filled."""
+    n, rows, bounds = program.start.numel(), program.limits.numel(), program.lower.numel()
+    slots = min(n + SPARE, rows + bounds)
+    size, look = n + slots, 2 * n * rows + 4 * bounds
+    step = 2 * size * n + 4 * n + 2 * slots + 2 * size + 2 * size**2 + size + 3 * n * slots + look
+    finish = REFINEMENTS * (2 * n * slots + 2 * slots**2 + slots) + 2 * look + 5 * n
+    return int(look + MOST_STEPS * step + finish)
 
 
 def _least(a: ca.SX, b: ca.SX) -> ca.SX:

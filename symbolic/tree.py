@@ -41,12 +41,18 @@ class Axis:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Push:
-    """A force (2 or 3, 1) at a point (2 or 3, 1) [m] of a link, both in the world."""
+class Wrench:
+    """A force (2 or 3, 1) on a link and its moment about the world's origin, (1 or 3, 1), both in the world."""
 
     link: str
-    point: ca.SX
     force: ca.SX
+    moment: ca.SX
+
+    @classmethod
+    def at(cls, link: str, point: ca.SX, force: ca.SX) -> Self:
+        """Of a force (2 or 3, 1) at a point (2 or 3, 1) [m] of the world."""
+        moment = ca.cross(in_space(point), in_space(force))
+        return cls(link, force, moment if force.numel() == 3 else moment[2])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -124,18 +130,18 @@ class KinematicTree:
         turning = cross_matrix(away) @ self.angular_jacobian(frame.link)
         return rotation.T @ away, rotation.T @ (jacobian - self.position_jacobian(frame.link, frame.xyz) + turning)
 
-    def pullback(self, pushes: Sequence["Push"]) -> ca.SX:
-        """Σ fᵀ J_p over all pushes, the joint forces that forces at points amount to: shape (1, n).
+    def pullback(self, wrenches: Sequence["Wrench"]) -> ca.SX:
+        """Σ fᵀ J_p over all forces f at points p, the joint forces that wrenches amount to: shape (1, n).
 
-        The forces and their moments about the world's origin are summed from the tips to the root, so that the
-        cost is that of the points plus that of the joints, not their product.
+        The wrenches are summed from the tips to the root, so that the cost is that of the points plus that of the
+        joints, not their product.
         """
         force = {link: ca.SX.zeros(3) for link in self.robot.links}
         moment = {link: ca.SX.zeros(3) for link in self.robot.links}
-        for push in pushes:
-            f, p = in_space(push.force), in_space(push.point)
-            force[push.link] += f
-            moment[push.link] += ca.cross(p, f)
+        for wrench in wrenches:
+            m = wrench.moment
+            force[wrench.link] += in_space(wrench.force)
+            moment[wrench.link] += m if m.numel() == 3 else ca.vertcat(0, 0, m)
         row = ca.SX.zeros(1, self.q.numel())
         for joint in reversed(self.robot.joints):
             F, M, parent = force[joint.link], moment[joint.link], self.robot.parent(joint)

@@ -218,7 +218,7 @@ void dual_arm_step_defaults(dual_arm_step_input *input);
 /* One evaluation; `output` may not overlap `input`. Returns 0. */
 int dual_arm_step_call(const dual_arm_step_input *input, dual_arm_step_output *output);
 
-/* The same in CasADi's calling convention; iw wants 0 entries, w 24090, mem is 0. */
+/* The same in CasADi's calling convention; iw and w may be null, mem is 0. */
 int dual_arm_step(const double **arg, double **res, long long int *iw, double *w, int mem);
 
 #ifdef __cplusplus

@@ -222,7 +222,7 @@ void mobile_panda_step_defaults(mobile_panda_step_input *input);
 /* One evaluation; `output` may not overlap `input`. Returns 0. */
 int mobile_panda_step_call(const mobile_panda_step_input *input, mobile_panda_step_output *output);
 
-/* The same in CasADi's calling convention; iw wants 0 entries, w 13869, mem is 0. */
+/* The same in CasADi's calling convention; iw and w may be null, mem is 0. */
 int mobile_panda_step(const double **arg, double **res, long long int *iw, double *w, int mem);
 
 #ifdef __cplusplus

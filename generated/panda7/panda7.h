@@ -210,7 +210,7 @@ void panda7_step_defaults(panda7_step_input *input);
 /* One evaluation; `output` may not overlap `input`. Returns 0. */
 int panda7_step_call(const panda7_step_input *input, panda7_step_output *output);
 
-/* The same in CasADi's calling convention; iw wants 0 entries, w 9213, mem is 0. */
+/* The same in CasADi's calling convention; iw and w may be null, mem is 0. */
 int panda7_step(const double **arg, double **res, long long int *iw, double *w, int mem);
 
 #ifdef __cplusplus

@@ -169,7 +169,7 @@ void planar10_step_defaults(planar10_step_input *input);
 /* One evaluation; `output` may not overlap `input`. Returns 0. */
 int planar10_step_call(const planar10_step_input *input, planar10_step_output *output);
 
-/* The same in CasADi's calling convention; iw wants 0 entries, w 12590, mem is 0. */
+/* The same in CasADi's calling convention; iw and w may be null, mem is 0. */
 int planar10_step(const double **arg, double **res, long long int *iw, double *w, int mem);
 
 #ifdef __cplusplus

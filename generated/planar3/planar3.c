@@ -2,788 +2,287 @@
  *
  * planar 3R arm: its tool follows a path, through and beyond the edge of its reach, near a posture
  *
- *   planar3_kinematics: 85 instructions
- *   planar3_jacobians: 57 instructions
- *   planar3_step: 269 instructions
- * Arguments, shapes and units: planar3.h. No allocation, no global state; libm only.
+ *   planar3_kinematics: 31 operations at most
+ *   planar3_jacobians: 32 operations at most
+ *   planar3_step: 196 operations at most
+ * Arguments, shapes and units: planar3.h. No allocation, no global state; of libm sqrt only.
  * Do not compile with -ffast-math or -Ofast: they change results and drop the guards against NaN.
  */
 
 #include "planar3.h"
 
-/* How to prefix internal symbols */
-#ifdef CASADI_CODEGEN_PREFIX
-  #define CASADI_NAMESPACE_CONCAT(NS, ID) _CASADI_NAMESPACE_CONCAT(NS, ID)
-  #define _CASADI_NAMESPACE_CONCAT(NS, ID) NS ## ID
-  #define CASADI_PREFIX(ID) CASADI_NAMESPACE_CONCAT(CODEGEN_PREFIX, ID)
-#else
-  #define CASADI_PREFIX(ID) planar3_ ## ID
-#endif
-
 #include <math.h>
 
-#ifndef casadi_real
-#define casadi_real double
-#endif
-
-#ifndef casadi_int
-#define casadi_int long long int
-#endif
-
-/* Add prefix to internal symbols */
-#define casadi_f0 CASADI_PREFIX(f0)
-#define casadi_f1 CASADI_PREFIX(f1)
-#define casadi_f2 CASADI_PREFIX(f2)
-#define casadi_fabs CASADI_PREFIX(fabs)
-#define casadi_fmax CASADI_PREFIX(fmax)
-#define casadi_s0 CASADI_PREFIX(s0)
-#define casadi_s1 CASADI_PREFIX(s1)
-#define casadi_s2 CASADI_PREFIX(s2)
-#define casadi_s3 CASADI_PREFIX(s3)
-#define casadi_s4 CASADI_PREFIX(s4)
-#define casadi_s5 CASADI_PREFIX(s5)
-#define casadi_s6 CASADI_PREFIX(s6)
-#define casadi_sq CASADI_PREFIX(sq)
-
-/* Symbol visibility in DLLs */
-#ifndef CASADI_SYMBOL_EXPORT
-  #if defined(_WIN32) || defined(__WIN32__) || defined(__CYGWIN__)
-    #if defined(STATIC_LINKED)
-      #define CASADI_SYMBOL_EXPORT
-    #else
-      #define CASADI_SYMBOL_EXPORT __declspec(dllexport)
-    #endif
-  #elif defined(__GNUC__) && defined(GCC_HASCLASSVISIBILITY)
-    #define CASADI_SYMBOL_EXPORT __attribute__ ((visibility ("default")))
-  #else
-    #define CASADI_SYMBOL_EXPORT
-  #endif
-#endif
-
-static casadi_real casadi_sq(casadi_real x) { return x*x;}
-
-static casadi_real casadi_fmax(casadi_real x, casadi_real y) { return x > y ? x : y; }
-
-static casadi_real casadi_fabs(casadi_real x) {
-/* Pre-c99 compatibility */
-#if __STDC_VERSION__ < 199901L
-  return x>0 ? x : -x;
+/* Loops that may run side by side do, given -DCLIKGEN_OPENMP -fopenmp-simd. */
+#ifdef CLIKGEN_OPENMP
+#define CLIKGEN_SIMD _Pragma("omp simd")
 #else
-  return fabs(x);
+#define CLIKGEN_SIMD
 #endif
+
+/* These functions stand on rounding as C99 has it and on NaN; flags that give either up are refused where they show.
+ * gcc's all do. Of clang's, -funsafe-math-optimizations and -fassociative-math do not, hence the pragma. */
+#if defined __FAST_MATH__ || defined __ASSOCIATIVE_MATH__ || (defined __FINITE_MATH_ONLY__ && __FINITE_MATH_ONLY__)
+#error "clikgen: compile without -ffast-math, -Ofast, -funsafe-math-optimizations and -ffinite-math-only"
+#endif
+#if defined __clang__ && __clang_major__ >= 11
+#pragma clang fp reassociate(off)
+#endif
+
+#include <stdint.h>
+
+static inline uint64_t clikgen_bits(double x) {
+  union { double real; uint64_t bits; } both;
+  both.real = x;
+  return both.bits;
 }
 
-/* Configuration this file was compiled with */
-CASADI_SYMBOL_EXPORT void planar3_casadi_version(int* major, int* minor, int* patch) {
-  *major = 3;
-  *minor = 8;
-  *patch = 2;
+static inline double clikgen_real(uint64_t x) {
+  union { uint64_t bits; double real; } both;
+  both.bits = x;
+  return both.real;
 }
-CASADI_SYMBOL_EXPORT int planar3_casadi_int_size(void) { return (int) sizeof(casadi_int); }
-CASADI_SYMBOL_EXPORT int planar3_casadi_real_size(void) { return (int) sizeof(casadi_real); }
 
-static const casadi_int casadi_s0[3] = {3, 1, 1};
-static const casadi_int casadi_s1[3] = {2, 1, 1};
-static const casadi_int casadi_s2[3] = {36, 1, 1};
-static const casadi_int casadi_s3[3] = {6, 1, 1};
-static const casadi_int casadi_s4[3] = {9, 1, 1};
-static const casadi_int casadi_s5[3] = {4, 1, 1};
-static const casadi_int casadi_s6[3] = {1, 1, 1};
+/* Sine and cosine of x [rad] to 1.8e-16 for |x| <= 1e6; NaN from 2^30 on. */
+static inline void clikgen_sincos(double x, double *sine, double *cosine) {
+  const double shift = 6755399441055744.0; /* 1.5 * 2^52: a sum with it is a whole number */
+  const double turns = x * 0.6366197723675814 + shift;
+  const double n = turns - shift; /* quarter turns */
+  const double fence = x * 0x1p+994 * 0.0; /* infinity times 0, NaN, from 2^30 on; else 0 */
+  /* pi/2 in two parts: the first has 31 bits, so that n times it is exact. */
+  const double r = (x - n * 0x1.921fb544p+0) - (n * 0x1.0b4611a626331p-34 + fence); /* |r| <= pi/4 */
+  const double z = r * r, z2 = z * z, z4 = z2 * z2;
+  const double p = ((-0.166666666666666 + z * 0.008333333333316218) +
+                    z2 * (-0.00019841269825742733 + z * 2.755731248237617e-06)) +
+                   z4 * (-2.505059086768978e-08 + z * 1.5888058090339975e-10);
+  const double q = ((0.0416666666666666 + z * -0.0013888888888874474) +
+                    z2 * (2.480158728967154e-05 + z * -2.755731440103197e-07)) +
+                   z4 * (2.0875729281370876e-09 + z * -1.1359934243820215e-11);
+  const uint64_t s = clikgen_bits(r + (r * z) * p); /* sin r */
+  const uint64_t c = clikgen_bits((1.0 - 0.5 * z) + z2 * q); /* cos r */
+  const uint64_t quadrant = clikgen_bits(turns); /* in its last two bits */
+  const uint64_t swap = (s ^ c) & (0 - (quadrant & 1));
+  const uint64_t sign = UINT64_C(1) << 63;
+  *sine = clikgen_real(s ^ swap ^ ((quadrant << 62) & sign));
+  *cosine = clikgen_real(c ^ swap ^ (((quadrant + 1) << 62) & sign));
+}
 
-/* planar3_kinematics:(q[3])->(tool_position[2],posture_value[3],link_pose[36]) */
-static int casadi_f0(const casadi_real** arg, casadi_real** res, casadi_int* iw, casadi_real* w, int mem) {
-  casadi_real a00, a01, a02, a03, a04, a05, a06, a07, a08, a09, a10, a11;
-  casadi_real a12, a13, a14, a15, a16, a17, a18;
-  a00=5.0000000000000000e-01;
-  a01=arg[0]? arg[0][0] : 0;
-  a02=cos(a01);
-  a03=(a00*a02);
-  a04=4.0000000000000002e-01;
-  a05=arg[0]? arg[0][1] : 0;
-  a06=cos(a05);
-  a07=(a02*a06);
-  a08=sin(a01);
-  a09=sin(a05);
-  a10=(a08*a09);
-  a07=(a07-a10);
-  a10=(a04*a07);
-  a10=(a03+a10);
-  a11=2.5000000000000000e-01;
-  a12=arg[0]? arg[0][2] : 0;
-  a13=cos(a12);
-  a14=(a07*a13);
-  a09=(a02*a09);
-  a06=(a08*a06);
-  a15=(a09+a06);
-  a16=sin(a12);
-  a17=(a15*a16);
-  a17=(a14-a17);
-  a18=(a11*a17);
-  a18=(a10+a18);
-  if (res[0]!=0) res[0][0]=a18;
-  a00=(a00*a08);
-  a06=(a06+a09);
-  a04=(a04*a06);
-  a04=(a00+a04);
-  a09=(a06*a13);
-  a18=(a07*a16);
-  a09=(a09+a18);
-  a11=(a11*a09);
-  a11=(a04+a11);
-  if (res[0]!=0) res[0][1]=a11;
-  if (res[1]!=0) res[1][0]=a01;
-  if (res[1]!=0) res[1][1]=a05;
-  if (res[1]!=0) res[1][2]=a12;
-  if (res[2]!=0) res[2][0]=a02;
-  a12=(-a08);
-  if (res[2]!=0) res[2][1]=a12;
-  a12=0.;
-  if (res[2]!=0) res[2][2]=a12;
-  if (res[2]!=0) res[2][3]=a12;
-  if (res[2]!=0) res[2][4]=a08;
-  if (res[2]!=0) res[2][5]=a02;
-  if (res[2]!=0) res[2][6]=a12;
-  if (res[2]!=0) res[2][7]=a12;
-  if (res[2]!=0) res[2][8]=a12;
-  if (res[2]!=0) res[2][9]=a12;
-  a02=1.;
-  if (res[2]!=0) res[2][10]=a02;
-  if (res[2]!=0) res[2][11]=a12;
-  if (res[2]!=0) res[2][12]=a07;
-  a08=(-a15);
-  if (res[2]!=0) res[2][13]=a08;
-  if (res[2]!=0) res[2][14]=a12;
-  if (res[2]!=0) res[2][15]=a03;
-  if (res[2]!=0) res[2][16]=a06;
-  if (res[2]!=0) res[2][17]=a07;
-  if (res[2]!=0) res[2][18]=a12;
-  if (res[2]!=0) res[2][19]=a00;
-  if (res[2]!=0) res[2][20]=a12;
-  if (res[2]!=0) res[2][21]=a12;
-  if (res[2]!=0) res[2][22]=a02;
-  if (res[2]!=0) res[2][23]=a12;
-  if (res[2]!=0) res[2][24]=a17;
-  a15=(a15*a13);
-  a18=(a18+a15);
-  a18=(-a18);
-  if (res[2]!=0) res[2][25]=a18;
-  if (res[2]!=0) res[2][26]=a12;
-  if (res[2]!=0) res[2][27]=a10;
-  if (res[2]!=0) res[2][28]=a09;
-  a06=(a06*a16);
-  a14=(a14-a06);
-  if (res[2]!=0) res[2][29]=a14;
-  if (res[2]!=0) res[2][30]=a12;
-  if (res[2]!=0) res[2][31]=a04;
-  if (res[2]!=0) res[2][32]=a12;
-  if (res[2]!=0) res[2][33]=a12;
-  if (res[2]!=0) res[2][34]=a02;
-  if (res[2]!=0) res[2][35]=a12;
+int planar3_kinematics(const double **arg, double **res, long long int *iw, double *w, int mem) {
+  const double *restrict const q = arg[0];
+  double *restrict const tool_position = res[0];
+  double *restrict const posture_value = res[1];
+  double *restrict const link_pose = res[2];
+  double sine2[3], cosine3[3];
+  CLIKGEN_SIMD
+  for (int k1 = 0; k1 < 3; ++k1) clikgen_sincos(q[k1], &sine2[k1], &cosine3[k1]);
+  const double t4 = 0.5 * cosine3[0];
+  const double t5 = cosine3[0] * cosine3[1] - sine2[0] * sine2[1];
+  const double t6 = t4 + 0.4 * t5;
+  const double t7 = cosine3[0] * sine2[1] + cosine3[1] * sine2[0];
+  const double t8 = t5 * cosine3[2] - t7 * sine2[2];
+  tool_position[0] = t6 + 0.25 * t8;
+  const double t9 = 0.5 * sine2[0];
+  const double t10 = t9 + 0.4 * t7;
+  const double t11 = cosine3[2] * t7 + t5 * sine2[2];
+  tool_position[1] = t10 + 0.25 * t11;
+  posture_value[0] = q[0];
+  posture_value[1] = q[1];
+  posture_value[2] = q[2];
+  link_pose[0] = cosine3[0];
+  link_pose[1] = -sine2[0];
+  link_pose[2] = 0.0;
+  link_pose[3] = 0.0;
+  link_pose[4] = sine2[0];
+  link_pose[5] = cosine3[0];
+  link_pose[6] = 0.0;
+  link_pose[7] = 0.0;
+  link_pose[8] = 0.0;
+  link_pose[9] = 0.0;
+  link_pose[10] = 1.0;
+  link_pose[11] = 0.0;
+  link_pose[12] = t5;
+  link_pose[13] = -t7;
+  link_pose[14] = 0.0;
+  link_pose[15] = t4;
+  link_pose[16] = t7;
+  link_pose[17] = t5;
+  link_pose[18] = 0.0;
+  link_pose[19] = t9;
+  link_pose[20] = 0.0;
+  link_pose[21] = 0.0;
+  link_pose[22] = 1.0;
+  link_pose[23] = 0.0;
+  link_pose[24] = t8;
+  link_pose[25] = -t11;
+  link_pose[26] = 0.0;
+  link_pose[27] = t6;
+  link_pose[28] = t11;
+  link_pose[29] = t8;
+  link_pose[30] = 0.0;
+  link_pose[31] = t10;
+  link_pose[32] = 0.0;
+  link_pose[33] = 0.0;
+  link_pose[34] = 1.0;
+  link_pose[35] = 0.0;
+  (void)iw, (void)w, (void)mem;
   return 0;
 }
 
-CASADI_SYMBOL_EXPORT int planar3_kinematics(const casadi_real** arg, casadi_real** res, casadi_int* iw, casadi_real* w, int mem){
-  return casadi_f0(arg, res, iw, w, mem);
-}
-
-CASADI_SYMBOL_EXPORT int planar3_kinematics_checkout(void) {
+int planar3_jacobians(const double **arg, double **res, long long int *iw, double *w, int mem) {
+  const double *restrict const q = arg[0];
+  double *restrict const tool_jacobian = res[0];
+  double *restrict const posture_jacobian = res[1];
+  double sine13[3], cosine14[3];
+  CLIKGEN_SIMD
+  for (int k12 = 0; k12 < 3; ++k12) clikgen_sincos(q[k12], &sine13[k12], &cosine14[k12]);
+  const double t15 = 0.5 * sine13[0];
+  const double t16 = sine13[0] * cosine14[1] + cosine14[0] * sine13[1];
+  const double t17 = cosine14[1] * cosine14[0] - sine13[0] * sine13[1];
+  const double t18 = 0.25 * (t16 * cosine14[2] + t17 * sine13[2]);
+  const double t19 = t18 + (t15 + 0.4 * t16);
+  tool_jacobian[0] = -t19;
+  tool_jacobian[1] = t15 - t19;
+  tool_jacobian[2] = -t18;
+  const double t20 = 0.5 * cosine14[0];
+  const double t21 = 0.25 * (cosine14[2] * t17 - t16 * sine13[2]);
+  const double t22 = t21 + (t20 + 0.4 * t17);
+  tool_jacobian[3] = t22;
+  tool_jacobian[4] = t22 - t20;
+  tool_jacobian[5] = t21;
+  posture_jacobian[0] = 1.0;
+  posture_jacobian[1] = 0.0;
+  posture_jacobian[2] = 0.0;
+  posture_jacobian[3] = 0.0;
+  posture_jacobian[4] = 1.0;
+  posture_jacobian[5] = 0.0;
+  posture_jacobian[6] = 0.0;
+  posture_jacobian[7] = 0.0;
+  posture_jacobian[8] = 1.0;
+  (void)iw, (void)w, (void)mem;
   return 0;
 }
 
-CASADI_SYMBOL_EXPORT void planar3_kinematics_release(int mem) {
-}
-
-CASADI_SYMBOL_EXPORT void planar3_kinematics_incref(void) {
-}
-
-CASADI_SYMBOL_EXPORT void planar3_kinematics_decref(void) {
-}
-
-CASADI_SYMBOL_EXPORT casadi_int planar3_kinematics_n_in(void) { return 1;}
-
-CASADI_SYMBOL_EXPORT casadi_int planar3_kinematics_n_out(void) { return 3;}
-
-CASADI_SYMBOL_EXPORT casadi_real planar3_kinematics_default_in(casadi_int i) {
-  switch (i) {
-    default: return 0;
-  }
-}
-
-CASADI_SYMBOL_EXPORT const char* planar3_kinematics_name_in(casadi_int i) {
-  switch (i) {
-    case 0: return "q";
-    default: return 0;
-  }
-}
-
-CASADI_SYMBOL_EXPORT const char* planar3_kinematics_name_out(casadi_int i) {
-  switch (i) {
-    case 0: return "tool_position";
-    case 1: return "posture_value";
-    case 2: return "link_pose";
-    default: return 0;
-  }
-}
-
-CASADI_SYMBOL_EXPORT const casadi_int* planar3_kinematics_sparsity_in(casadi_int i) {
-  switch (i) {
-    case 0: return casadi_s0;
-    default: return 0;
-  }
-}
-
-CASADI_SYMBOL_EXPORT const casadi_int* planar3_kinematics_sparsity_out(casadi_int i) {
-  switch (i) {
-    case 0: return casadi_s1;
-    case 1: return casadi_s0;
-    case 2: return casadi_s2;
-    default: return 0;
-  }
-}
-
-CASADI_SYMBOL_EXPORT int planar3_kinematics_work(casadi_int *sz_arg, casadi_int* sz_res, casadi_int *sz_iw, casadi_int *sz_w) {
-  if (sz_arg) *sz_arg = 1;
-  if (sz_res) *sz_res = 3;
-  if (sz_iw) *sz_iw = 0;
-  if (sz_w) *sz_w = 0;
-  return 0;
-}
-
-CASADI_SYMBOL_EXPORT int planar3_kinematics_work_bytes(casadi_int *sz_arg, casadi_int* sz_res, casadi_int *sz_iw, casadi_int *sz_w) {
-  if (sz_arg) *sz_arg = 1*sizeof(const casadi_real*);
-  if (sz_res) *sz_res = 3*sizeof(casadi_real*);
-  if (sz_iw) *sz_iw = 0*sizeof(casadi_int);
-  if (sz_w) *sz_w = 0*sizeof(casadi_real);
-  return 0;
-}
-
-/* planar3_jacobians:(q[3])->(tool_jacobian[6],posture_jacobian[9]) */
-static int casadi_f1(const casadi_real** arg, casadi_real** res, casadi_int* iw, casadi_real* w, int mem) {
-  casadi_real a00, a01, a02, a03, a04, a05, a06, a07, a08, a09, a10, a11;
-  casadi_real a12, a13;
-  a00=5.0000000000000000e-01;
-  a01=arg[0]? arg[0][0] : 0;
-  a02=sin(a01);
-  a03=(a00*a02);
-  a04=4.0000000000000002e-01;
-  a05=arg[0]? arg[0][1] : 0;
-  a06=cos(a05);
-  a07=(a02*a06);
-  a01=cos(a01);
-  a05=sin(a05);
-  a08=(a01*a05);
-  a09=(a07+a08);
-  a10=(a04*a09);
-  a10=(a03+a10);
-  a11=2.5000000000000000e-01;
-  a12=arg[0]? arg[0][2] : 0;
-  a13=cos(a12);
-  a09=(a09*a13);
-  a06=(a01*a06);
-  a02=(a02*a05);
-  a06=(a06-a02);
-  a12=sin(a12);
-  a02=(a06*a12);
-  a09=(a09+a02);
-  a09=(a11*a09);
-  a10=(a10+a09);
-  a02=(-a10);
-  if (res[0]!=0) res[0][0]=a02;
-  a10=(a10-a03);
-  a10=(-a10);
-  if (res[0]!=0) res[0][1]=a10;
-  a09=(-a09);
-  if (res[0]!=0) res[0][2]=a09;
-  a00=(a00*a01);
-  a04=(a04*a06);
-  a04=(a00+a04);
-  a06=(a06*a13);
-  a08=(a08+a07);
-  a08=(a08*a12);
-  a06=(a06-a08);
-  a11=(a11*a06);
-  a04=(a04+a11);
-  if (res[0]!=0) res[0][3]=a04;
-  a04=(a04-a00);
-  if (res[0]!=0) res[0][4]=a04;
-  if (res[0]!=0) res[0][5]=a11;
-  a11=1.;
-  if (res[1]!=0) res[1][0]=a11;
-  a04=0.;
-  if (res[1]!=0) res[1][1]=a04;
-  if (res[1]!=0) res[1][2]=a04;
-  if (res[1]!=0) res[1][3]=a04;
-  if (res[1]!=0) res[1][4]=a11;
-  if (res[1]!=0) res[1][5]=a04;
-  if (res[1]!=0) res[1][6]=a04;
-  if (res[1]!=0) res[1][7]=a04;
-  if (res[1]!=0) res[1][8]=a11;
-  return 0;
-}
-
-CASADI_SYMBOL_EXPORT int planar3_jacobians(const casadi_real** arg, casadi_real** res, casadi_int* iw, casadi_real* w, int mem){
-  return casadi_f1(arg, res, iw, w, mem);
-}
-
-CASADI_SYMBOL_EXPORT int planar3_jacobians_checkout(void) {
-  return 0;
-}
-
-CASADI_SYMBOL_EXPORT void planar3_jacobians_release(int mem) {
-}
-
-CASADI_SYMBOL_EXPORT void planar3_jacobians_incref(void) {
-}
-
-CASADI_SYMBOL_EXPORT void planar3_jacobians_decref(void) {
-}
-
-CASADI_SYMBOL_EXPORT casadi_int planar3_jacobians_n_in(void) { return 1;}
-
-CASADI_SYMBOL_EXPORT casadi_int planar3_jacobians_n_out(void) { return 2;}
-
-CASADI_SYMBOL_EXPORT casadi_real planar3_jacobians_default_in(casadi_int i) {
-  switch (i) {
-    default: return 0;
-  }
-}
-
-CASADI_SYMBOL_EXPORT const char* planar3_jacobians_name_in(casadi_int i) {
-  switch (i) {
-    case 0: return "q";
-    default: return 0;
-  }
-}
-
-CASADI_SYMBOL_EXPORT const char* planar3_jacobians_name_out(casadi_int i) {
-  switch (i) {
-    case 0: return "tool_jacobian";
-    case 1: return "posture_jacobian";
-    default: return 0;
-  }
-}
-
-CASADI_SYMBOL_EXPORT const casadi_int* planar3_jacobians_sparsity_in(casadi_int i) {
-  switch (i) {
-    case 0: return casadi_s0;
-    default: return 0;
-  }
-}
-
-CASADI_SYMBOL_EXPORT const casadi_int* planar3_jacobians_sparsity_out(casadi_int i) {
-  switch (i) {
-    case 0: return casadi_s3;
-    case 1: return casadi_s4;
-    default: return 0;
-  }
-}
-
-CASADI_SYMBOL_EXPORT int planar3_jacobians_work(casadi_int *sz_arg, casadi_int* sz_res, casadi_int *sz_iw, casadi_int *sz_w) {
-  if (sz_arg) *sz_arg = 1;
-  if (sz_res) *sz_res = 2;
-  if (sz_iw) *sz_iw = 0;
-  if (sz_w) *sz_w = 0;
-  return 0;
-}
-
-CASADI_SYMBOL_EXPORT int planar3_jacobians_work_bytes(casadi_int *sz_arg, casadi_int* sz_res, casadi_int *sz_iw, casadi_int *sz_w) {
-  if (sz_arg) *sz_arg = 1*sizeof(const casadi_real*);
-  if (sz_res) *sz_res = 2*sizeof(casadi_real*);
-  if (sz_iw) *sz_iw = 0*sizeof(casadi_int);
-  if (sz_w) *sz_w = 0*sizeof(casadi_real);
-  return 0;
-}
-
-/* planar3_step:(q[3],tool_reference[2],tool_reference_velocity[2],tool_gain[4],tool_damping,tool_near_singularity,tool_speed,posture_reference[3],posture_reference_velocity[3],posture_gain[3],posture_damping,posture_near_singularity,velocity_limit[3],filter_cutoff[3],lam_free,period)->(q_next[3],dq[3],dq_law[3],tool_position[2],tool_error[2],posture_value[3],posture_error[3],lam) */
-static int casadi_f2(const casadi_real** arg, casadi_real** res, casadi_int* iw, casadi_real* w, int mem) {
-  casadi_real a00, a01, a02, a03, a04, a05, a06, a07, a08, a09, a10, a11;
-  casadi_real a12, a13, a14, a15, a16, a17, a18, a19, a20, a21, a22, a23;
-  casadi_real a24, a25, a26, a27, a28, a29, a30, a31, a32, a33, a34, a35;
-  casadi_real a36;
-  a00=arg[14]? arg[14][0] : 0;
-  a01=6.2831853071795862e+00;
-  a02=arg[15]? arg[15][0] : 0;
-  a01=(a01*a02);
-  a03=arg[13]? arg[13][0] : 0;
-  a03=(a01*a03);
-  a04=1.;
-  a05=(a04+a03);
-  a03=(a03/a05);
-  a05=arg[0]? arg[0][0] : 0;
-  a06=arg[8]? arg[8][0] : 0;
-  a07=arg[9]? arg[9][0] : 0;
-  a08=arg[7]? arg[7][0] : 0;
-  a08=(a08-a05);
-  a07=(a07*a08);
-  a06=(a06+a07);
-  a07=arg[10]? arg[10][0] : 0;
-  a07=casadi_sq(a07);
-  a09=0.;
-  a10=3.3333333333333331e-01;
-  a11=arg[11]? arg[11][0] : 0;
-  a11=casadi_sq(a11);
-  a10=(a10/a11);
-  a10=(a04-a10);
-  a10=casadi_fmax(a09,a10);
-  a10=casadi_sq(a10);
-  a07=(a07*a10);
-  a10=(a04+a07);
-  a06=(a06/a10);
-  a11=5.0000000000000000e-01;
-  a12=cos(a05);
-  a13=(a11*a12);
-  a14=4.0000000000000002e-01;
-  a15=arg[0]? arg[0][1] : 0;
-  a16=cos(a15);
-  a17=(a12*a16);
-  a18=sin(a05);
-  a19=sin(a15);
-  a20=(a18*a19);
-  a17=(a17-a20);
-  a20=(a14*a17);
-  a20=(a13+a20);
-  a21=2.5000000000000000e-01;
-  a22=arg[0]? arg[0][2] : 0;
-  a23=cos(a22);
-  a24=(a17*a23);
-  a12=(a12*a19);
-  a16=(a18*a16);
-  a19=(a12+a16);
-  a25=sin(a22);
-  a19=(a19*a25);
-  a24=(a24-a19);
-  a24=(a21*a24);
-  a20=(a20+a24);
-  a19=arg[2]? arg[2][1] : 0;
-  a26=arg[3]? arg[3][2] : 0;
-  a27=arg[1]? arg[1][0] : 0;
-  a27=(a27-a20);
-  a26=(a26*a27);
-  a28=arg[3]? arg[3][3] : 0;
-  a29=arg[1]? arg[1][1] : 0;
-  a11=(a11*a18);
-  a16=(a16+a12);
-  a14=(a14*a16);
-  a14=(a11+a14);
-  a16=(a16*a23);
-  a17=(a17*a25);
-  a16=(a16+a17);
-  a21=(a21*a16);
-  a14=(a14+a21);
-  a29=(a29-a14);
-  a28=(a28*a29);
-  a26=(a26+a28);
-  a28=arg[6]? arg[6][0] : 0;
-  a16=arg[3]? arg[3][0] : 0;
-  a16=(a16*a27);
-  a17=arg[3]? arg[3][1] : 0;
-  a17=(a17*a29);
-  a16=(a16+a17);
-  a17=casadi_sq(a16);
-  a25=casadi_sq(a26);
-  a17=(a17+a25);
-  a25=casadi_sq(a28);
-  a17=casadi_fmax(a17,a25);
-  a17=sqrt(a17);
-  a28=(a28/a17);
-  a26=(a26*a28);
-  a19=(a19+a26);
-  a26=(a20*a06);
-  a13=(a20-a13);
-  a17=arg[8]? arg[8][1] : 0;
-  a25=arg[9]? arg[9][1] : 0;
-  a23=arg[7]? arg[7][1] : 0;
-  a23=(a23-a15);
-  a25=(a25*a23);
-  a17=(a17+a25);
-  a25=4.2632564145606011e-14;
-  a25=(a25*a10);
-  a07=(a07+a25);
-  a10=casadi_fmax(a10,a07);
-  a17=(a17/a10);
-  a07=(a13*a17);
-  a26=(a26+a07);
-  a07=arg[8]? arg[8][2] : 0;
-  a25=arg[9]? arg[9][2] : 0;
-  a12=arg[7]? arg[7][2] : 0;
-  a12=(a12-a22);
-  a25=(a25*a12);
-  a07=(a07+a25);
-  a07=(a07/a10);
-  a10=(a24*a07);
-  a26=(a26+a10);
-  a19=(a19-a26);
-  a26=(a20*a14);
-  a11=(a14-a11);
-  a10=(a13*a11);
-  a26=(a26+a10);
-  a10=(a24*a21);
-  a26=(a26+a10);
-  a10=casadi_sq(a14);
-  a25=casadi_sq(a11);
-  a10=(a10+a25);
-  a25=casadi_sq(a21);
-  a10=(a10+a25);
-  a25=arg[4]? arg[4][0] : 0;
-  a25=casadi_sq(a25);
-  a18=1.4210854715202004e-14;
-  a30=(a18*a10);
-  a31=9.9999999999999998e-201;
-  a30=(a30+a31);
-  a30=casadi_fmax(a10,a30);
-  a32=(1./a30);
-  a33=(a26/a30);
-  a33=casadi_sq(a33);
-  a34=(a33+a04);
-  a35=casadi_sq(a20);
-  a36=casadi_sq(a13);
-  a35=(a35+a36);
-  a36=casadi_sq(a24);
-  a35=(a35+a36);
-  a33=(a33*a30);
-  a33=(a35-a33);
-  a30=(a18*a35);
-  a30=(a30+a31);
-  a33=casadi_fmax(a33,a30);
-  a34=(a34/a33);
-  a32=(a32+a34);
-  a32=(1./a32);
-  a34=arg[5]? arg[5][0] : 0;
-  a34=casadi_sq(a34);
-  a32=(a32/a34);
-  a32=(a04-a32);
-  a09=casadi_fmax(a09,a32);
-  a09=casadi_sq(a09);
-  a25=(a25*a09);
-  a10=(a10+a25);
-  a26=(a26/a10);
-  a09=arg[2]? arg[2][0] : 0;
-  a16=(a16*a28);
-  a09=(a09+a16);
-  a16=(a14*a06);
-  a28=(a11*a17);
-  a16=(a16+a28);
-  a28=(a21*a07);
-  a16=(a16+a28);
-  a09=(a09+a16);
-  a16=(a26*a09);
-  a19=(a19+a16);
-  a35=(a35+a25);
-  a16=casadi_sq(a26);
-  a16=(a16*a10);
-  a16=(a35-a16);
-  a35=(a10+a35);
-  a18=(a18*a35);
-  a25=(a25+a18);
-  a16=casadi_fmax(a16,a25);
-  a19=(a19/a16);
-  a16=(a20*a19);
-  a09=(a09/a10);
-  a26=(a26*a19);
-  a09=(a09+a26);
-  a26=(a14*a09);
-  a16=(a16-a26);
-  a06=(a06+a16);
-  a16=casadi_fabs(a06);
-  a26=arg[12]? arg[12][0] : 0;
-  a16=(a16/a26);
-  a13=(a13*a19);
-  a11=(a11*a09);
-  a13=(a13-a11);
-  a17=(a17+a13);
-  a13=casadi_fabs(a17);
-  a11=arg[12]? arg[12][1] : 0;
-  a13=(a13/a11);
-  a16=casadi_fmax(a16,a13);
-  a24=(a24*a19);
-  a21=(a21*a09);
-  a24=(a24-a21);
-  a07=(a07+a24);
-  a24=casadi_fabs(a07);
-  a21=arg[12]? arg[12][2] : 0;
-  a24=(a24/a21);
-  a16=casadi_fmax(a16,a24);
-  a16=casadi_fmax(a04,a16);
-  a06=(a06/a16);
-  a24=(a02*a06);
-  a24=(a05+a24);
-  a21=(a03*a24);
-  a03=(a04-a03);
-  a03=(a03*a05);
-  a21=(a21+a03);
-  a21=(a00*a21);
-  a03=(a04-a00);
-  a24=(a03*a24);
-  a21=(a21+a24);
-  if (res[0]!=0) res[0][0]=a21;
-  a24=arg[13]? arg[13][1] : 0;
-  a24=(a01*a24);
-  a09=(a04+a24);
-  a24=(a24/a09);
-  a17=(a17/a16);
-  a09=(a02*a17);
-  a09=(a15+a09);
-  a19=(a24*a09);
-  a24=(a04-a24);
-  a24=(a24*a15);
-  a19=(a19+a24);
-  a19=(a00*a19);
-  a09=(a03*a09);
-  a19=(a19+a09);
-  if (res[0]!=0) res[0][1]=a19;
-  a09=arg[13]? arg[13][2] : 0;
-  a01=(a01*a09);
-  a09=(a04+a01);
-  a01=(a01/a09);
-  a07=(a07/a16);
-  a16=(a02*a07);
-  a16=(a22+a16);
-  a09=(a01*a16);
-  a04=(a04-a01);
-  a04=(a04*a22);
-  a09=(a09+a04);
-  a09=(a00*a09);
-  a03=(a03*a16);
-  a09=(a09+a03);
-  if (res[0]!=0) res[0][2]=a09;
-  a21=(a21-a05);
-  a21=(a21/a02);
-  if (res[1]!=0) res[1][0]=a21;
-  a19=(a19-a15);
-  a19=(a19/a02);
-  if (res[1]!=0) res[1][1]=a19;
-  a09=(a09-a22);
-  a09=(a09/a02);
-  if (res[1]!=0) res[1][2]=a09;
-  if (res[2]!=0) res[2][0]=a06;
-  if (res[2]!=0) res[2][1]=a17;
-  if (res[2]!=0) res[2][2]=a07;
-  if (res[3]!=0) res[3][0]=a20;
-  if (res[3]!=0) res[3][1]=a14;
-  if (res[4]!=0) res[4][0]=a27;
-  if (res[4]!=0) res[4][1]=a29;
-  if (res[5]!=0) res[5][0]=a05;
-  if (res[5]!=0) res[5][1]=a15;
-  if (res[5]!=0) res[5][2]=a22;
-  if (res[6]!=0) res[6][0]=a08;
-  if (res[6]!=0) res[6][1]=a23;
-  if (res[6]!=0) res[6][2]=a12;
-  if (res[7]!=0) res[7][0]=a00;
-  return 0;
-}
-
-CASADI_SYMBOL_EXPORT int planar3_step(const casadi_real** arg, casadi_real** res, casadi_int* iw, casadi_real* w, int mem){
-  return casadi_f2(arg, res, iw, w, mem);
-}
-
-CASADI_SYMBOL_EXPORT int planar3_step_checkout(void) {
-  return 0;
-}
-
-CASADI_SYMBOL_EXPORT void planar3_step_release(int mem) {
-}
-
-CASADI_SYMBOL_EXPORT void planar3_step_incref(void) {
-}
-
-CASADI_SYMBOL_EXPORT void planar3_step_decref(void) {
-}
-
-CASADI_SYMBOL_EXPORT casadi_int planar3_step_n_in(void) { return 16;}
-
-CASADI_SYMBOL_EXPORT casadi_int planar3_step_n_out(void) { return 8;}
-
-CASADI_SYMBOL_EXPORT casadi_real planar3_step_default_in(casadi_int i) {
-  switch (i) {
-    default: return 0;
-  }
-}
-
-CASADI_SYMBOL_EXPORT const char* planar3_step_name_in(casadi_int i) {
-  switch (i) {
-    case 0: return "q";
-    case 1: return "tool_reference";
-    case 2: return "tool_reference_velocity";
-    case 3: return "tool_gain";
-    case 4: return "tool_damping";
-    case 5: return "tool_near_singularity";
-    case 6: return "tool_speed";
-    case 7: return "posture_reference";
-    case 8: return "posture_reference_velocity";
-    case 9: return "posture_gain";
-    case 10: return "posture_damping";
-    case 11: return "posture_near_singularity";
-    case 12: return "velocity_limit";
-    case 13: return "filter_cutoff";
-    case 14: return "lam_free";
-    case 15: return "period";
-    default: return 0;
-  }
-}
-
-CASADI_SYMBOL_EXPORT const char* planar3_step_name_out(casadi_int i) {
-  switch (i) {
-    case 0: return "q_next";
-    case 1: return "dq";
-    case 2: return "dq_law";
-    case 3: return "tool_position";
-    case 4: return "tool_error";
-    case 5: return "posture_value";
-    case 6: return "posture_error";
-    case 7: return "lam";
-    default: return 0;
-  }
-}
-
-CASADI_SYMBOL_EXPORT const casadi_int* planar3_step_sparsity_in(casadi_int i) {
-  switch (i) {
-    case 0: return casadi_s0;
-    case 1: return casadi_s1;
-    case 2: return casadi_s1;
-    case 3: return casadi_s5;
-    case 4: return casadi_s6;
-    case 5: return casadi_s6;
-    case 6: return casadi_s6;
-    case 7: return casadi_s0;
-    case 8: return casadi_s0;
-    case 9: return casadi_s0;
-    case 10: return casadi_s6;
-    case 11: return casadi_s6;
-    case 12: return casadi_s0;
-    case 13: return casadi_s0;
-    case 14: return casadi_s6;
-    case 15: return casadi_s6;
-    default: return 0;
-  }
-}
-
-CASADI_SYMBOL_EXPORT const casadi_int* planar3_step_sparsity_out(casadi_int i) {
-  switch (i) {
-    case 0: return casadi_s0;
-    case 1: return casadi_s0;
-    case 2: return casadi_s0;
-    case 3: return casadi_s1;
-    case 4: return casadi_s1;
-    case 5: return casadi_s0;
-    case 6: return casadi_s0;
-    case 7: return casadi_s6;
-    default: return 0;
-  }
-}
-
-CASADI_SYMBOL_EXPORT int planar3_step_work(casadi_int *sz_arg, casadi_int* sz_res, casadi_int *sz_iw, casadi_int *sz_w) {
-  if (sz_arg) *sz_arg = 16;
-  if (sz_res) *sz_res = 8;
-  if (sz_iw) *sz_iw = 0;
-  if (sz_w) *sz_w = 0;
-  return 0;
-}
-
-CASADI_SYMBOL_EXPORT int planar3_step_work_bytes(casadi_int *sz_arg, casadi_int* sz_res, casadi_int *sz_iw, casadi_int *sz_w) {
-  if (sz_arg) *sz_arg = 16*sizeof(const casadi_real*);
-  if (sz_res) *sz_res = 8*sizeof(casadi_real*);
-  if (sz_iw) *sz_iw = 0*sizeof(casadi_int);
-  if (sz_w) *sz_w = 0*sizeof(casadi_real);
+int planar3_step(const double **arg, double **res, long long int *iw, double *w, int mem) {
+  const double *restrict const q = arg[0];
+  const double *restrict const tool_reference = arg[1];
+  const double *restrict const tool_reference_velocity = arg[2];
+  const double *restrict const tool_gain = arg[3];
+  const double *restrict const tool_damping = arg[4];
+  const double *restrict const tool_near_singularity = arg[5];
+  const double *restrict const tool_speed = arg[6];
+  const double *restrict const posture_reference = arg[7];
+  const double *restrict const posture_reference_velocity = arg[8];
+  const double *restrict const posture_gain = arg[9];
+  const double *restrict const posture_damping = arg[10];
+  const double *restrict const posture_near_singularity = arg[11];
+  const double *restrict const velocity_limit = arg[12];
+  const double *restrict const filter_cutoff = arg[13];
+  const double *restrict const lam_free = arg[14];
+  const double *restrict const period = arg[15];
+  double *restrict const q_next = res[0];
+  double *restrict const dq = res[1];
+  double *restrict const dq_law = res[2];
+  double *restrict const tool_position = res[3];
+  double *restrict const tool_error = res[4];
+  double *restrict const posture_value = res[5];
+  double *restrict const posture_error = res[6];
+  double *restrict const lam = res[7];
+  double sine24[3], cosine25[3];
+  CLIKGEN_SIMD
+  for (int k23 = 0; k23 < 3; ++k23) clikgen_sincos(q[k23], &sine24[k23], &cosine25[k23]);
+  const double t26 = period[0] * 6.283185307179586;
+  const double t27 = t26 * filter_cutoff[0];
+  const double t28 = posture_reference[0] - q[0];
+  const double t29 = 1.0 - 0.3333333333333333 / (posture_near_singularity[0] * posture_near_singularity[0]);
+  const double t30 = 0.0 > t29 ? 0.0 : t29;
+  const double t31 = posture_damping[0] * posture_damping[0] * (t30 * t30);
+  const double t32 = 1.0 + t31;
+  const double t33 = (posture_reference_velocity[0] + posture_gain[0] * t28) / t32;
+  const double t34 = 0.5 * cosine25[0];
+  const double t35 = cosine25[0] * cosine25[1] - sine24[0] * sine24[1];
+  const double t36 = cosine25[0] * sine24[1] + cosine25[1] * sine24[0];
+  const double t37 = 0.25 * (t35 * cosine25[2] - t36 * sine24[2]);
+  const double t38 = t37 + (t34 + 0.4 * t35);
+  const double t39 = tool_reference[0] - t38;
+  const double t40 = 0.5 * sine24[0];
+  const double t41 = 0.25 * (cosine25[2] * t36 + t35 * sine24[2]);
+  const double t42 = t41 + (t40 + 0.4 * t36);
+  const double t43 = tool_reference[1] - t42;
+  const double t44 = tool_gain[2] * t39 + tool_gain[3] * t43;
+  const double t45 = t39 * tool_gain[0] + t43 * tool_gain[1];
+  const double t46 = t45 * t45 + t44 * t44;
+  const double t47 = tool_speed[0] * tool_speed[0];
+  const double t48 = tool_speed[0] / sqrt(t46 > t47 ? t46 : t47);
+  const double t49 = t38 - t34;
+  const double t50 = posture_reference[1] - q[1];
+  const double t51 = t31 + t32 * 4.263256414560601e-14;
+  const double t52 = 1.0 / (t32 > t51 ? t32 : t51);
+  const double t53 = (posture_reference_velocity[1] + posture_gain[1] * t50) * t52;
+  const double t54 = posture_reference[2] - q[2];
+  const double t55 = t52 * (posture_reference_velocity[2] + posture_gain[2] * t54);
+  const double t56 = t42 - t40;
+  const double t57 = t49 * t56 + (t38 * t42 + t37 * t41);
+  const double t58 = t56 * t56 + (t42 * t42 + t41 * t41);
+  const double t59 = t58 * 1.4210854715202004e-14 + 1e-200;
+  const double t60 = t58 > t59 ? t58 : t59;
+  const double t61 = 1.0 / t60;
+  const double t62 = t57 * t61;
+  const double t63 = t62 * t62;
+  const double t64 = t49 * t49 + (t38 * t38 + t37 * t37);
+  const double t65 = t64 - t60 * t63;
+  const double t66 = 1e-200 + 1.4210854715202004e-14 * t64;
+  const double t67 = 1.0 / (t61 + (1.0 + t63) / (t65 > t66 ? t65 : t66)) * (1.0 / (tool_near_singularity[0] * tool_near_singularity[0]));
+  const double t68 = 1.0 - t67;
+  const double t69 = 0.0 > t68 ? 0.0 : t68;
+  const double t70 = tool_damping[0] * tool_damping[0] * (t69 * t69);
+  const double t71 = t58 + t70;
+  const double t72 = 1.0 / t71;
+  const double t73 = t57 * t72;
+  const double t74 = t45 * t48 + (t53 * t56 + (t33 * t42 + (tool_reference_velocity[0] + t41 * t55)));
+  const double t75 = t73 * t74 + (t44 * t48 + (tool_reference_velocity[1] - t37 * t55 - t33 * t38 - t49 * t53));
+  const double t76 = t64 + t70;
+  const double t77 = t76 - t71 * (t73 * t73);
+  const double t78 = t70 + 1.4210854715202004e-14 * (t71 + t76);
+  const double t79 = t75 / (t77 > t78 ? t77 : t78);
+  const double t80 = t72 * t74 + t73 * t79;
+  const double t81 = t33 + t38 * t79 - t42 * t80;
+  const double t82 = t53 + t49 * t79 - t56 * t80;
+  const double t83 = fabs(t81) * (1.0 / velocity_limit[0]);
+  const double t84 = fabs(t82) * (1.0 / velocity_limit[1]);
+  const double t85 = t55 + t37 * t79 - t41 * t80;
+  const double t86 = t83 > t84 ? t83 : t84;
+  const double t87 = fabs(t85) * (1.0 / velocity_limit[2]);
+  const double t88 = t86 > t87 ? t86 : t87;
+  const double t89 = 1.0 / (1.0 > t88 ? 1.0 : t88);
+  const double t90 = t81 * t89;
+  const double t91 = (1.0 - lam_free[0] * (1.0 - t27 / (1.0 + t27))) * t90;
+  q_next[0] = q[0] + period[0] * t91;
+  const double t92 = t26 * filter_cutoff[1];
+  const double t93 = t82 * t89;
+  const double t94 = (1.0 - lam_free[0] * (1.0 - t92 / (1.0 + t92))) * t93;
+  q_next[1] = q[1] + period[0] * t94;
+  const double t95 = t26 * filter_cutoff[2];
+  const double t96 = t85 * t89;
+  const double t97 = (1.0 - lam_free[0] * (1.0 - t95 / (1.0 + t95))) * t96;
+  q_next[2] = q[2] + period[0] * t97;
+  dq[0] = t91;
+  dq[1] = t94;
+  dq[2] = t97;
+  dq_law[0] = t90;
+  dq_law[1] = t93;
+  dq_law[2] = t96;
+  tool_position[0] = t38;
+  tool_position[1] = t42;
+  tool_error[0] = t39;
+  tool_error[1] = t43;
+  posture_value[0] = q[0];
+  posture_value[1] = q[1];
+  posture_value[2] = q[2];
+  posture_error[0] = t28;
+  posture_error[1] = t50;
+  posture_error[2] = t54;
+  lam[0] = lam_free[0];
+  (void)iw, (void)w, (void)mem;
   return 0;
 }
 

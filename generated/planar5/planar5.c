@@ -2,2068 +2,563 @@
  *
  * holonomic planar base with a two-link arm, tracking under obstacle avoidance
  *
- *   planar5_kinematics: 145 instructions
- *   planar5_jacobians: 681 instructions
- *   planar5_step: 844 instructions
- * Arguments, shapes and units: planar5.h. No allocation, no global state; libm only.
+ *   planar5_kinematics: 50 operations at most
+ *   planar5_jacobians: 529 operations at most
+ *   planar5_step: 689 operations at most
+ * Arguments, shapes and units: planar5.h. No allocation, no global state; of libm sqrt only.
  * Do not compile with -ffast-math or -Ofast: they change results and drop the guards against NaN.
  */
 
 #include "planar5.h"
 
-/* How to prefix internal symbols */
-#ifdef CASADI_CODEGEN_PREFIX
-  #define CASADI_NAMESPACE_CONCAT(NS, ID) _CASADI_NAMESPACE_CONCAT(NS, ID)
-  #define _CASADI_NAMESPACE_CONCAT(NS, ID) NS ## ID
-  #define CASADI_PREFIX(ID) CASADI_NAMESPACE_CONCAT(CODEGEN_PREFIX, ID)
-#else
-  #define CASADI_PREFIX(ID) planar5_ ## ID
-#endif
-
 #include <math.h>
 
-#ifndef casadi_real
-#define casadi_real double
+/* Loops that may run side by side do, given -DCLIKGEN_OPENMP -fopenmp-simd. */
+#ifdef CLIKGEN_OPENMP
+#define CLIKGEN_SIMD _Pragma("omp simd")
+#else
+#define CLIKGEN_SIMD
 #endif
 
-#ifndef casadi_int
-#define casadi_int long long int
+/* These functions stand on rounding as C99 has it and on NaN; flags that give either up are refused where they show.
+ * gcc's all do. Of clang's, -funsafe-math-optimizations and -fassociative-math do not, hence the pragma. */
+#if defined __FAST_MATH__ || defined __ASSOCIATIVE_MATH__ || (defined __FINITE_MATH_ONLY__ && __FINITE_MATH_ONLY__)
+#error "clikgen: compile without -ffast-math, -Ofast, -funsafe-math-optimizations and -ffinite-math-only"
+#endif
+#if defined __clang__ && __clang_major__ >= 11
+#pragma clang fp reassociate(off)
 #endif
 
-/* Add prefix to internal symbols */
-#define casadi_f0 CASADI_PREFIX(f0)
-#define casadi_f1 CASADI_PREFIX(f1)
-#define casadi_f2 CASADI_PREFIX(f2)
-#define casadi_fmax CASADI_PREFIX(fmax)
-#define casadi_fmin CASADI_PREFIX(fmin)
-#define casadi_s0 CASADI_PREFIX(s0)
-#define casadi_s1 CASADI_PREFIX(s1)
-#define casadi_s2 CASADI_PREFIX(s2)
-#define casadi_s3 CASADI_PREFIX(s3)
-#define casadi_s4 CASADI_PREFIX(s4)
-#define casadi_s5 CASADI_PREFIX(s5)
-#define casadi_s6 CASADI_PREFIX(s6)
-#define casadi_s7 CASADI_PREFIX(s7)
-#define casadi_s8 CASADI_PREFIX(s8)
-#define casadi_sq CASADI_PREFIX(sq)
+#include <stdint.h>
 
-/* Symbol visibility in DLLs */
-#ifndef CASADI_SYMBOL_EXPORT
-  #if defined(_WIN32) || defined(__WIN32__) || defined(__CYGWIN__)
-    #if defined(STATIC_LINKED)
-      #define CASADI_SYMBOL_EXPORT
-    #else
-      #define CASADI_SYMBOL_EXPORT __declspec(dllexport)
-    #endif
-  #elif defined(__GNUC__) && defined(GCC_HASCLASSVISIBILITY)
-    #define CASADI_SYMBOL_EXPORT __attribute__ ((visibility ("default")))
-  #else
-    #define CASADI_SYMBOL_EXPORT
-  #endif
-#endif
-
-static casadi_real casadi_sq(casadi_real x) { return x*x;}
-
-static casadi_real casadi_fmax(casadi_real x, casadi_real y) { return x > y ? x : y; }
-
-static casadi_real casadi_fmin(casadi_real x, casadi_real y) { return x < y ? x : y; }
-
-/* Configuration this file was compiled with */
-CASADI_SYMBOL_EXPORT void planar5_casadi_version(int* major, int* minor, int* patch) {
-  *major = 3;
-  *minor = 8;
-  *patch = 2;
+static inline uint64_t clikgen_bits(double x) {
+  union { double real; uint64_t bits; } both;
+  both.real = x;
+  return both.bits;
 }
-CASADI_SYMBOL_EXPORT int planar5_casadi_int_size(void) { return (int) sizeof(casadi_int); }
-CASADI_SYMBOL_EXPORT int planar5_casadi_real_size(void) { return (int) sizeof(casadi_real); }
 
-static const casadi_int casadi_s0[3] = {5, 1, 1};
-static const casadi_int casadi_s1[3] = {2, 1, 1};
-static const casadi_int casadi_s2[3] = {12, 1, 1};
-static const casadi_int casadi_s3[3] = {60, 1, 1};
-static const casadi_int casadi_s4[3] = {6, 1, 1};
-static const casadi_int casadi_s5[3] = {3, 1, 1};
-static const casadi_int casadi_s6[3] = {1, 1, 1};
-static const casadi_int casadi_s7[3] = {10, 1, 1};
-static const casadi_int casadi_s8[3] = {4, 1, 1};
+static inline double clikgen_real(uint64_t x) {
+  union { uint64_t bits; double real; } both;
+  both.bits = x;
+  return both.real;
+}
 
-/* planar5_kinematics:(q[5])->(tool_position[2],point_position[12],link_pose[60]) */
-static int casadi_f0(const casadi_real** arg, casadi_real** res, casadi_int* iw, casadi_real* w, int mem) {
-  casadi_real a00, a01, a02, a03, a04, a05, a06, a07, a08, a09, a10, a11;
-  casadi_real a12, a13, a14, a15, a16, a17, a18, a19, a20, a21, a22, a23;
-  a00=arg[0]? arg[0][0] : 0;
-  a01=2.0000000000000001e-01;
-  a02=arg[0]? arg[0][2] : 0;
-  a03=cos(a02);
-  a04=(a01*a03);
-  a04=(a00+a04);
-  a05=5.0000000000000000e-01;
-  a06=arg[0]? arg[0][3] : 0;
-  a07=cos(a06);
-  a08=(a03*a07);
-  a02=sin(a02);
-  a06=sin(a06);
-  a09=(a02*a06);
-  a08=(a08-a09);
-  a09=(a05*a08);
-  a09=(a04+a09);
-  a10=4.0000000000000002e-01;
-  a11=arg[0]? arg[0][4] : 0;
-  a12=cos(a11);
-  a13=(a08*a12);
-  a06=(a03*a06);
-  a07=(a02*a07);
-  a14=(a06+a07);
-  a11=sin(a11);
-  a15=(a14*a11);
-  a15=(a13-a15);
-  a16=(a10*a15);
-  a16=(a09+a16);
-  if (res[0]!=0) res[0][0]=a16;
-  a17=arg[0]? arg[0][1] : 0;
-  a18=(a01*a02);
-  a18=(a17+a18);
-  a07=(a07+a06);
-  a05=(a05*a07);
-  a05=(a18+a05);
-  a06=(a07*a12);
-  a19=(a08*a11);
-  a06=(a06+a19);
-  a10=(a10*a06);
-  a10=(a05+a10);
-  if (res[0]!=0) res[0][1]=a10;
-  a20=1.4999999999999999e-01;
-  a21=(a20*a03);
-  a20=(a20*a02);
-  a22=(a21-a20);
-  a22=(a00+a22);
-  if (res[1]!=0) res[1][0]=a22;
-  a22=(a20+a21);
-  a22=(a17+a22);
-  if (res[1]!=0) res[1][1]=a22;
-  a22=-1.4999999999999999e-01;
-  a23=(a22*a02);
-  a21=(a21-a23);
-  a21=(a00+a21);
-  if (res[1]!=0) res[1][2]=a21;
-  a22=(a22*a03);
-  a20=(a20+a22);
-  a20=(a17+a20);
-  if (res[1]!=0) res[1][3]=a20;
-  a20=2.5000000000000000e-01;
-  a22=(a20*a08);
-  a22=(a04+a22);
-  if (res[1]!=0) res[1][4]=a22;
-  a20=(a20*a07);
-  a20=(a18+a20);
-  if (res[1]!=0) res[1][5]=a20;
-  if (res[1]!=0) res[1][6]=a09;
-  if (res[1]!=0) res[1][7]=a05;
-  a20=(a01*a15);
-  a20=(a09+a20);
-  if (res[1]!=0) res[1][8]=a20;
-  a01=(a01*a06);
-  a01=(a05+a01);
-  if (res[1]!=0) res[1][9]=a01;
-  if (res[1]!=0) res[1][10]=a16;
-  if (res[1]!=0) res[1][11]=a10;
-  a10=1.;
-  if (res[2]!=0) res[2][0]=a10;
-  a16=0.;
-  if (res[2]!=0) res[2][1]=a16;
-  if (res[2]!=0) res[2][2]=a16;
-  if (res[2]!=0) res[2][3]=a00;
-  if (res[2]!=0) res[2][4]=a16;
-  if (res[2]!=0) res[2][5]=a10;
-  if (res[2]!=0) res[2][6]=a16;
-  if (res[2]!=0) res[2][7]=a16;
-  if (res[2]!=0) res[2][8]=a16;
-  if (res[2]!=0) res[2][9]=a16;
-  if (res[2]!=0) res[2][10]=a10;
-  if (res[2]!=0) res[2][11]=a16;
-  if (res[2]!=0) res[2][12]=a10;
-  if (res[2]!=0) res[2][13]=a16;
-  if (res[2]!=0) res[2][14]=a16;
-  if (res[2]!=0) res[2][15]=a00;
-  if (res[2]!=0) res[2][16]=a16;
-  if (res[2]!=0) res[2][17]=a10;
-  if (res[2]!=0) res[2][18]=a16;
-  if (res[2]!=0) res[2][19]=a17;
-  if (res[2]!=0) res[2][20]=a16;
-  if (res[2]!=0) res[2][21]=a16;
-  if (res[2]!=0) res[2][22]=a10;
-  if (res[2]!=0) res[2][23]=a16;
-  if (res[2]!=0) res[2][24]=a03;
-  a01=(-a02);
-  if (res[2]!=0) res[2][25]=a01;
-  if (res[2]!=0) res[2][26]=a16;
-  if (res[2]!=0) res[2][27]=a00;
-  if (res[2]!=0) res[2][28]=a02;
-  if (res[2]!=0) res[2][29]=a03;
-  if (res[2]!=0) res[2][30]=a16;
-  if (res[2]!=0) res[2][31]=a17;
-  if (res[2]!=0) res[2][32]=a16;
-  if (res[2]!=0) res[2][33]=a16;
-  if (res[2]!=0) res[2][34]=a10;
-  if (res[2]!=0) res[2][35]=a16;
-  if (res[2]!=0) res[2][36]=a08;
-  a17=(-a14);
-  if (res[2]!=0) res[2][37]=a17;
-  if (res[2]!=0) res[2][38]=a16;
-  if (res[2]!=0) res[2][39]=a04;
-  if (res[2]!=0) res[2][40]=a07;
-  if (res[2]!=0) res[2][41]=a08;
-  if (res[2]!=0) res[2][42]=a16;
-  if (res[2]!=0) res[2][43]=a18;
-  if (res[2]!=0) res[2][44]=a16;
-  if (res[2]!=0) res[2][45]=a16;
-  if (res[2]!=0) res[2][46]=a10;
-  if (res[2]!=0) res[2][47]=a16;
-  if (res[2]!=0) res[2][48]=a15;
-  a14=(a14*a12);
-  a19=(a19+a14);
-  a19=(-a19);
-  if (res[2]!=0) res[2][49]=a19;
-  if (res[2]!=0) res[2][50]=a16;
-  if (res[2]!=0) res[2][51]=a09;
-  if (res[2]!=0) res[2][52]=a06;
-  a07=(a07*a11);
-  a13=(a13-a07);
-  if (res[2]!=0) res[2][53]=a13;
-  if (res[2]!=0) res[2][54]=a16;
-  if (res[2]!=0) res[2][55]=a05;
-  if (res[2]!=0) res[2][56]=a16;
-  if (res[2]!=0) res[2][57]=a16;
-  if (res[2]!=0) res[2][58]=a10;
-  if (res[2]!=0) res[2][59]=a16;
+/* Sine and cosine of x [rad] to 1.8e-16 for |x| <= 1e6; NaN from 2^30 on. */
+static inline void clikgen_sincos(double x, double *sine, double *cosine) {
+  const double shift = 6755399441055744.0; /* 1.5 * 2^52: a sum with it is a whole number */
+  const double turns = x * 0.6366197723675814 + shift;
+  const double n = turns - shift; /* quarter turns */
+  const double fence = x * 0x1p+994 * 0.0; /* infinity times 0, NaN, from 2^30 on; else 0 */
+  /* pi/2 in two parts: the first has 31 bits, so that n times it is exact. */
+  const double r = (x - n * 0x1.921fb544p+0) - (n * 0x1.0b4611a626331p-34 + fence); /* |r| <= pi/4 */
+  const double z = r * r, z2 = z * z, z4 = z2 * z2;
+  const double p = ((-0.166666666666666 + z * 0.008333333333316218) +
+                    z2 * (-0.00019841269825742733 + z * 2.755731248237617e-06)) +
+                   z4 * (-2.505059086768978e-08 + z * 1.5888058090339975e-10);
+  const double q = ((0.0416666666666666 + z * -0.0013888888888874474) +
+                    z2 * (2.480158728967154e-05 + z * -2.755731440103197e-07)) +
+                   z4 * (2.0875729281370876e-09 + z * -1.1359934243820215e-11);
+  const uint64_t s = clikgen_bits(r + (r * z) * p); /* sin r */
+  const uint64_t c = clikgen_bits((1.0 - 0.5 * z) + z2 * q); /* cos r */
+  const uint64_t quadrant = clikgen_bits(turns); /* in its last two bits */
+  const uint64_t swap = (s ^ c) & (0 - (quadrant & 1));
+  const uint64_t sign = UINT64_C(1) << 63;
+  *sine = clikgen_real(s ^ swap ^ ((quadrant << 62) & sign));
+  *cosine = clikgen_real(c ^ swap ^ (((quadrant + 1) << 62) & sign));
+}
+
+int planar5_kinematics(const double **arg, double **res, long long int *iw, double *w, int mem) {
+  const double *restrict const q = arg[0];
+  double *restrict const tool_position = res[0];
+  double *restrict const point_position = res[1];
+  double *restrict const link_pose = res[2];
+  double sine2[3], cosine3[3];
+  CLIKGEN_SIMD
+  for (int k1 = 0; k1 < 3; ++k1) clikgen_sincos(q[2 + k1], &sine2[k1], &cosine3[k1]);
+  const double t4 = q[0] + 0.2 * cosine3[0];
+  const double t5 = cosine3[0] * cosine3[1] - sine2[0] * sine2[1];
+  const double t6 = t4 + 0.5 * t5;
+  const double t7 = cosine3[0] * sine2[1] + cosine3[1] * sine2[0];
+  const double t8 = t5 * cosine3[2] - t7 * sine2[2];
+  const double t9 = t6 + 0.4 * t8;
+  tool_position[0] = t9;
+  const double t10 = q[1] + 0.2 * sine2[0];
+  const double t11 = t10 + 0.5 * t7;
+  const double t12 = cosine3[2] * t7 + t5 * sine2[2];
+  const double t13 = t11 + 0.4 * t12;
+  tool_position[1] = t13;
+  const double t14 = cosine3[0] * 0.15;
+  const double t15 = sine2[0] * 0.15;
+  point_position[0] = q[0] + t14 - t15;
+  const double t16 = t14 + t15;
+  point_position[1] = q[1] + t16;
+  point_position[2] = q[0] + t16;
+  point_position[3] = q[1] + t15 - t14;
+  point_position[4] = t4 + t5 * 0.25;
+  point_position[5] = t10 + t7 * 0.25;
+  point_position[6] = t6;
+  point_position[7] = t11;
+  point_position[8] = t6 + 0.2 * t8;
+  point_position[9] = t11 + 0.2 * t12;
+  point_position[10] = t9;
+  point_position[11] = t13;
+  link_pose[0] = 1.0;
+  link_pose[1] = 0.0;
+  link_pose[2] = 0.0;
+  link_pose[3] = q[0];
+  link_pose[4] = 0.0;
+  link_pose[5] = 1.0;
+  link_pose[6] = 0.0;
+  link_pose[7] = 0.0;
+  link_pose[8] = 0.0;
+  link_pose[9] = 0.0;
+  link_pose[10] = 1.0;
+  link_pose[11] = 0.0;
+  link_pose[12] = 1.0;
+  link_pose[13] = 0.0;
+  link_pose[14] = 0.0;
+  link_pose[15] = q[0];
+  link_pose[16] = 0.0;
+  link_pose[17] = 1.0;
+  link_pose[18] = 0.0;
+  link_pose[19] = q[1];
+  link_pose[20] = 0.0;
+  link_pose[21] = 0.0;
+  link_pose[22] = 1.0;
+  link_pose[23] = 0.0;
+  link_pose[24] = cosine3[0];
+  link_pose[25] = -sine2[0];
+  link_pose[26] = 0.0;
+  link_pose[27] = q[0];
+  link_pose[28] = sine2[0];
+  link_pose[29] = cosine3[0];
+  link_pose[30] = 0.0;
+  link_pose[31] = q[1];
+  link_pose[32] = 0.0;
+  link_pose[33] = 0.0;
+  link_pose[34] = 1.0;
+  link_pose[35] = 0.0;
+  link_pose[36] = t5;
+  link_pose[37] = -t7;
+  link_pose[38] = 0.0;
+  link_pose[39] = t4;
+  link_pose[40] = t7;
+  link_pose[41] = t5;
+  link_pose[42] = 0.0;
+  link_pose[43] = t10;
+  link_pose[44] = 0.0;
+  link_pose[45] = 0.0;
+  link_pose[46] = 1.0;
+  link_pose[47] = 0.0;
+  link_pose[48] = t8;
+  link_pose[49] = -t12;
+  link_pose[50] = 0.0;
+  link_pose[51] = t6;
+  link_pose[52] = t12;
+  link_pose[53] = t8;
+  link_pose[54] = 0.0;
+  link_pose[55] = t11;
+  link_pose[56] = 0.0;
+  link_pose[57] = 0.0;
+  link_pose[58] = 1.0;
+  link_pose[59] = 0.0;
+  (void)iw, (void)w, (void)mem;
   return 0;
 }
 
-CASADI_SYMBOL_EXPORT int planar5_kinematics(const casadi_real** arg, casadi_real** res, casadi_int* iw, casadi_real* w, int mem){
-  return casadi_f0(arg, res, iw, w, mem);
-}
-
-CASADI_SYMBOL_EXPORT int planar5_kinematics_checkout(void) {
+int planar5_jacobians(const double **arg, double **res, long long int *iw, double *w, int mem) {
+  const double *restrict const q = arg[0];
+  const double *restrict const obstacle_center = arg[1];
+  const double *restrict const obstacle_radius = arg[2];
+  const double *restrict const obstacle_count = arg[3];
+  const double *restrict const influence_radius = arg[4];
+  double *restrict const obstacles_jacobian = res[0];
+  double *restrict const tool_jacobian = res[1];
+  double *restrict const point_jacobian = res[2];
+  double sine18[3], cosine19[3];
+  CLIKGEN_SIMD
+  for (int k17 = 0; k17 < 3; ++k17) clikgen_sincos(q[2 + k17], &sine18[k17], &cosine19[k17]);
+  const double t23 = 0.15 * cosine19[0];
+  const double t24 = 0.15 * sine18[0];
+  const double t25 = t23 - t24;
+  const double t26 = t23 + t24;
+  const double t27 = q[0] + cosine19[0] * 0.2;
+  const double t28 = cosine19[0] * cosine19[1] - sine18[0] * sine18[1];
+  const double t29 = 0.25 * t28;
+  const double t30 = t27 + t29;
+  const double t31 = q[1] + sine18[0] * 0.2;
+  const double t32 = sine18[0] * cosine19[1] + cosine19[0] * sine18[1];
+  const double t33 = 0.25 * t32;
+  const double t34 = t31 + t33;
+  const double t35 = t28 * 0.5;
+  const double t36 = t27 + t35;
+  const double t37 = t32 * 0.5;
+  const double t38 = t31 + t37;
+  const double t39 = t28 * cosine19[2] - t32 * sine18[2];
+  const double t40 = 0.2 * t39;
+  const double t41 = t36 + t40;
+  const double t42 = t32 * cosine19[2] + t28 * sine18[2];
+  const double t43 = 0.2 * t42;
+  const double t44 = t38 + t43;
+  const double t45 = t39 * 0.4;
+  const double t46 = t36 + t45;
+  const double t47 = t42 * 0.4;
+  const double t48 = t38 + t47;
+  double sense_of22[12];
+  sense_of22[0] = q[0] + t25;
+  sense_of22[6] = q[1] + t26;
+  sense_of22[1] = q[0] + t26;
+  sense_of22[7] = t24 + q[1] - t23;
+  sense_of22[2] = t30;
+  sense_of22[8] = t34;
+  sense_of22[3] = t36;
+  sense_of22[9] = t38;
+  sense_of22[4] = t41;
+  sense_of22[10] = t44;
+  sense_of22[5] = t46;
+  sense_of22[11] = t48;
+  const double t49 = 0.0 < obstacle_count[0] ? obstacle_center[0] : 0.0;
+  const double t50 = 0.0 < obstacle_count[0] ? obstacle_center[1] : 0.0;
+  const double t51 = 1.0 < obstacle_count[0] ? obstacle_center[2] : 0.0;
+  const double t52 = 1.0 < obstacle_count[0] ? obstacle_center[3] : 0.0;
+  const double t53 = 2.0 < obstacle_count[0] ? obstacle_center[4] : 0.0;
+  const double t54 = 2.0 < obstacle_count[0] ? obstacle_center[5] : 0.0;
+  const double t55 = 0.0 < obstacle_count[0] ? obstacle_radius[0] : -1000000.0;
+  const double t56 = 1.0 < obstacle_count[0] ? obstacle_radius[1] : -1000000.0;
+  const double t57 = 2.0 < obstacle_count[0] ? obstacle_radius[2] : -1000000.0;
+  double sense21_0[12];
+  double sense21_1[6];
+  CLIKGEN_SIMD
+  for (int k20 = 0; k20 < 6; ++k20) {
+    const double t58 = t53 - sense_of22[k20];
+    const double t59 = t54 - sense_of22[6 + k20];
+    const double t60 = t58 * t58 + t59 * t59;
+    const double t61 = t51 - sense_of22[k20];
+    const double t62 = t52 - sense_of22[6 + k20];
+    const double t63 = t61 * t61 + t62 * t62;
+    const double t64 = t49 - sense_of22[k20];
+    const double t65 = t50 - sense_of22[6 + k20];
+    const double t66 = t64 * t64 + t65 * t65;
+    const double t67 = t56 - t55;
+    const double t68 = t67 * t67;
+    const double t69 = t63 - t68 - t66;
+    const int t70 = t69 * fabs(t69) < t66 * (t67 * 4.0 * fabs(t67));
+    const int t71 = t70 & ((0.0 < t67) | (t68 < t66));
+    const double t72 = t71 ? t63 : t66;
+    const double t73 = t71 ? t56 : t55;
+    const double t74 = t57 - t73;
+    const double t75 = t74 * t74;
+    const double t76 = t60 - t72 - t75;
+    const int t77 = t76 * fabs(t76) < t72 * (4.0 * t74 * fabs(t74));
+    const int t78 = t77 & ((0.0 < t74) | (t75 < t72));
+    const double t79 = sqrt(t78 ? t60 : t72);
+    const double t80 = t79 - (t78 ? t57 : t73);
+    const double t81 = influence_radius[k20] - (t80 < 1000000.0 ? t80 : 1000000.0);
+    const double t82 = (t81 > 0.0 ? t81 : 0.0) * (1.0 / (1e-12 < t79 ? t79 : 1.0));
+    const double t83 = 1e-12 < t79 ? (t78 ? t58 : (t71 ? t61 : t64)) : 1.0;
+    sense21_0[k20] = t82 * t83;
+    const double t84 = t78 ? t59 : (t71 ? t62 : t65);
+    sense21_0[6 + k20] = 1e-12 < t79 ? t82 * t84 : 0.0;
+    sense21_1[k20] = t82 * ((1e-12 < t79 ? sense_of22[k20] * t84 : 0.0) - sense_of22[6 + k20] * t83);
+  }
+  const double t85 = sense21_0[4] + sense21_0[5];
+  const double t86 = t85 + (sense21_0[2] + sense21_0[3]);
+  const double t87 = t86 + (sense21_0[0] + sense21_0[1]);
+  obstacles_jacobian[0] = t87;
+  const double t88 = sense21_0[10] + sense21_0[11];
+  const double t89 = t88 + (sense21_0[8] + sense21_0[9]);
+  const double t90 = t89 + (sense21_0[6] + sense21_0[7]);
+  obstacles_jacobian[1] = t90;
+  const double t91 = sense21_1[4] + sense21_1[5];
+  const double t92 = t91 + (sense21_1[2] + sense21_1[3]);
+  obstacles_jacobian[2] = q[1] * t87 + (t92 + (sense21_1[0] + sense21_1[1]) - q[0] * t90);
+  obstacles_jacobian[3] = t31 * t86 + (t92 - t27 * t89);
+  obstacles_jacobian[4] = t38 * t85 + (t91 - t36 * t88);
+  tool_jacobian[0] = 1.0;
+  tool_jacobian[1] = 0.0;
+  const double t93 = q[1] - t48;
+  tool_jacobian[2] = t93;
+  const double t94 = t31 - t48;
+  tool_jacobian[3] = t94;
+  const double t95 = -t47;
+  tool_jacobian[4] = t95;
+  tool_jacobian[5] = 0.0;
+  tool_jacobian[6] = 1.0;
+  const double t96 = t46 - q[0];
+  tool_jacobian[7] = t96;
+  const double t97 = t46 - t27;
+  tool_jacobian[8] = t97;
+  tool_jacobian[9] = t45;
+  point_jacobian[0] = 1.0;
+  point_jacobian[1] = 0.0;
+  point_jacobian[2] = -t26;
+  point_jacobian[3] = 0.0;
+  point_jacobian[4] = 0.0;
+  point_jacobian[5] = 0.0;
+  point_jacobian[6] = 1.0;
+  point_jacobian[7] = t25;
+  point_jacobian[8] = 0.0;
+  point_jacobian[9] = 0.0;
+  point_jacobian[10] = 1.0;
+  point_jacobian[11] = 0.0;
+  point_jacobian[12] = t25;
+  point_jacobian[13] = 0.0;
+  point_jacobian[14] = 0.0;
+  point_jacobian[15] = 0.0;
+  point_jacobian[16] = 1.0;
+  point_jacobian[17] = t26;
+  point_jacobian[18] = 0.0;
+  point_jacobian[19] = 0.0;
+  point_jacobian[20] = 1.0;
+  point_jacobian[21] = 0.0;
+  point_jacobian[22] = q[1] - t34;
+  point_jacobian[23] = -t33;
+  point_jacobian[24] = 0.0;
+  point_jacobian[25] = 0.0;
+  point_jacobian[26] = 1.0;
+  point_jacobian[27] = t30 - q[0];
+  point_jacobian[28] = t29;
+  point_jacobian[29] = 0.0;
+  point_jacobian[30] = 1.0;
+  point_jacobian[31] = 0.0;
+  point_jacobian[32] = q[1] - t38;
+  point_jacobian[33] = -t37;
+  point_jacobian[34] = 0.0;
+  point_jacobian[35] = 0.0;
+  point_jacobian[36] = 1.0;
+  point_jacobian[37] = t36 - q[0];
+  point_jacobian[38] = t35;
+  point_jacobian[39] = 0.0;
+  point_jacobian[40] = 1.0;
+  point_jacobian[41] = 0.0;
+  point_jacobian[42] = q[1] - t44;
+  point_jacobian[43] = t31 - t44;
+  point_jacobian[44] = -t43;
+  point_jacobian[45] = 0.0;
+  point_jacobian[46] = 1.0;
+  point_jacobian[47] = t41 - q[0];
+  point_jacobian[48] = t41 - t27;
+  point_jacobian[49] = t40;
+  point_jacobian[50] = 1.0;
+  point_jacobian[51] = 0.0;
+  point_jacobian[52] = t93;
+  point_jacobian[53] = t94;
+  point_jacobian[54] = t95;
+  point_jacobian[55] = 0.0;
+  point_jacobian[56] = 1.0;
+  point_jacobian[57] = t96;
+  point_jacobian[58] = t97;
+  point_jacobian[59] = t45;
+  (void)iw, (void)w, (void)mem;
   return 0;
 }
 
-CASADI_SYMBOL_EXPORT void planar5_kinematics_release(int mem) {
-}
-
-CASADI_SYMBOL_EXPORT void planar5_kinematics_incref(void) {
-}
-
-CASADI_SYMBOL_EXPORT void planar5_kinematics_decref(void) {
-}
-
-CASADI_SYMBOL_EXPORT casadi_int planar5_kinematics_n_in(void) { return 1;}
-
-CASADI_SYMBOL_EXPORT casadi_int planar5_kinematics_n_out(void) { return 3;}
-
-CASADI_SYMBOL_EXPORT casadi_real planar5_kinematics_default_in(casadi_int i) {
-  switch (i) {
-    default: return 0;
+int planar5_step(const double **arg, double **res, long long int *iw, double *w, int mem) {
+  const double *restrict const q = arg[0];
+  const double *restrict const obstacles_gain = arg[1];
+  const double *restrict const obstacles_damping = arg[2];
+  const double *restrict const tool_reference = arg[3];
+  const double *restrict const tool_reference_velocity = arg[4];
+  const double *restrict const tool_gain = arg[5];
+  const double *restrict const tool_damping = arg[6];
+  const double *restrict const obstacle_center = arg[7];
+  const double *restrict const obstacle_radius = arg[8];
+  const double *restrict const obstacle_count = arg[9];
+  const double *restrict const influence_radius = arg[10];
+  const double *restrict const filter_cutoff = arg[11];
+  const double *restrict const lam_free = arg[12];
+  const double *restrict const lam_event = arg[13];
+  const double *restrict const period = arg[14];
+  double *restrict const q_next = res[0];
+  double *restrict const dq = res[1];
+  double *restrict const dq_law = res[2];
+  double *restrict const obstacles_potential = res[3];
+  double *restrict const tool_position = res[4];
+  double *restrict const tool_error = res[5];
+  double *restrict const lam = res[6];
+  double *restrict const active = res[7];
+  double *restrict const distance = res[8];
+  double *restrict const clearance = res[9];
+  double sine99[3], cosine100[3];
+  CLIKGEN_SIMD
+  for (int k98 = 0; k98 < 3; ++k98) clikgen_sincos(q[2 + k98], &sine99[k98], &cosine100[k98]);
+  const double t104 = 0.15 * cosine100[0];
+  const double t105 = 0.15 * sine99[0];
+  const double t106 = t104 + t105;
+  const double t107 = q[0] + cosine100[0] * 0.2;
+  const double t108 = cosine100[0] * cosine100[1] - sine99[0] * sine99[1];
+  const double t109 = q[1] + sine99[0] * 0.2;
+  const double t110 = sine99[0] * cosine100[1] + cosine100[0] * sine99[1];
+  const double t111 = t107 + t108 * 0.5;
+  const double t112 = t109 + t110 * 0.5;
+  const double t113 = t108 * cosine100[2] - t110 * sine99[2];
+  const double t114 = t110 * cosine100[2] + t108 * sine99[2];
+  const double t115 = t113 * 0.4;
+  const double t116 = t111 + t115;
+  const double t117 = t114 * 0.4;
+  const double t118 = t112 + t117;
+  double sense_of103[12];
+  sense_of103[0] = q[0] + t104 - t105;
+  sense_of103[6] = q[1] + t106;
+  sense_of103[1] = q[0] + t106;
+  sense_of103[7] = t105 + q[1] - t104;
+  sense_of103[2] = t107 + 0.25 * t108;
+  sense_of103[8] = t109 + 0.25 * t110;
+  sense_of103[3] = t111;
+  sense_of103[9] = t112;
+  sense_of103[4] = t111 + 0.2 * t113;
+  sense_of103[10] = t112 + 0.2 * t114;
+  sense_of103[5] = t116;
+  sense_of103[11] = t118;
+  const double t119 = 0.0 < obstacle_count[0] ? obstacle_center[0] : 0.0;
+  const double t120 = 0.0 < obstacle_count[0] ? obstacle_center[1] : 0.0;
+  const double t121 = 1.0 < obstacle_count[0] ? obstacle_center[2] : 0.0;
+  const double t122 = 1.0 < obstacle_count[0] ? obstacle_center[3] : 0.0;
+  const double t123 = 2.0 < obstacle_count[0] ? obstacle_center[4] : 0.0;
+  const double t124 = 2.0 < obstacle_count[0] ? obstacle_center[5] : 0.0;
+  const double t125 = 0.0 < obstacle_count[0] ? obstacle_radius[0] : -1000000.0;
+  const double t126 = 1.0 < obstacle_count[0] ? obstacle_radius[1] : -1000000.0;
+  const double t127 = 2.0 < obstacle_count[0] ? obstacle_radius[2] : -1000000.0;
+  double sense102_0[6];
+  double sense102_1[6];
+  double sense102_2[12];
+  double sense102_3[6];
+  CLIKGEN_SIMD
+  for (int k101 = 0; k101 < 6; ++k101) {
+    const double t128 = t123 - sense_of103[k101];
+    const double t129 = t124 - sense_of103[6 + k101];
+    const double t130 = t128 * t128 + t129 * t129;
+    const double t131 = t121 - sense_of103[k101];
+    const double t132 = t122 - sense_of103[6 + k101];
+    const double t133 = t131 * t131 + t132 * t132;
+    const double t134 = t119 - sense_of103[k101];
+    const double t135 = t120 - sense_of103[6 + k101];
+    const double t136 = t134 * t134 + t135 * t135;
+    const double t137 = t126 - t125;
+    const double t138 = t137 * t137;
+    const double t139 = t133 - t138 - t136;
+    const int t140 = t139 * fabs(t139) < t136 * (t137 * 4.0 * fabs(t137));
+    const int t141 = t140 & ((0.0 < t137) | (t138 < t136));
+    const double t142 = t141 ? t133 : t136;
+    const double t143 = t141 ? t126 : t125;
+    const double t144 = t127 - t143;
+    const double t145 = t144 * t144;
+    const double t146 = t130 - t142 - t145;
+    const int t147 = t146 * fabs(t146) < t142 * (4.0 * t144 * fabs(t144));
+    const int t148 = t147 & ((0.0 < t144) | (t145 < t142));
+    const double t149 = sqrt(t148 ? t130 : t142);
+    const double t150 = t149 - (t148 ? t127 : t143);
+    const double t151 = t150 < 1000000.0 ? t150 : 1000000.0;
+    sense102_0[k101] = t151;
+    sense102_1[k101] = t151 - influence_radius[k101];
+    const double t152 = influence_radius[k101] - t151;
+    const double t153 = (t152 > 0.0 ? t152 : 0.0) * (1.0 / (1e-12 < t149 ? t149 : 1.0));
+    const double t154 = 1e-12 < t149 ? (t148 ? t128 : (t141 ? t131 : t134)) : 1.0;
+    sense102_2[k101] = t153 * t154;
+    const double t155 = t148 ? t129 : (t141 ? t132 : t135);
+    sense102_2[6 + k101] = 1e-12 < t149 ? t153 * t155 : 0.0;
+    sense102_3[k101] = t153 * ((1e-12 < t149 ? sense_of103[k101] * t155 : 0.0) - sense_of103[6 + k101] * t154);
   }
-}
-
-CASADI_SYMBOL_EXPORT const char* planar5_kinematics_name_in(casadi_int i) {
-  switch (i) {
-    case 0: return "q";
-    default: return 0;
-  }
-}
-
-CASADI_SYMBOL_EXPORT const char* planar5_kinematics_name_out(casadi_int i) {
-  switch (i) {
-    case 0: return "tool_position";
-    case 1: return "point_position";
-    case 2: return "link_pose";
-    default: return 0;
-  }
-}
-
-CASADI_SYMBOL_EXPORT const casadi_int* planar5_kinematics_sparsity_in(casadi_int i) {
-  switch (i) {
-    case 0: return casadi_s0;
-    default: return 0;
-  }
-}
-
-CASADI_SYMBOL_EXPORT const casadi_int* planar5_kinematics_sparsity_out(casadi_int i) {
-  switch (i) {
-    case 0: return casadi_s1;
-    case 1: return casadi_s2;
-    case 2: return casadi_s3;
-    default: return 0;
-  }
-}
-
-CASADI_SYMBOL_EXPORT int planar5_kinematics_work(casadi_int *sz_arg, casadi_int* sz_res, casadi_int *sz_iw, casadi_int *sz_w) {
-  if (sz_arg) *sz_arg = 1;
-  if (sz_res) *sz_res = 3;
-  if (sz_iw) *sz_iw = 0;
-  if (sz_w) *sz_w = 0;
-  return 0;
-}
-
-CASADI_SYMBOL_EXPORT int planar5_kinematics_work_bytes(casadi_int *sz_arg, casadi_int* sz_res, casadi_int *sz_iw, casadi_int *sz_w) {
-  if (sz_arg) *sz_arg = 1*sizeof(const casadi_real*);
-  if (sz_res) *sz_res = 3*sizeof(casadi_real*);
-  if (sz_iw) *sz_iw = 0*sizeof(casadi_int);
-  if (sz_w) *sz_w = 0*sizeof(casadi_real);
-  return 0;
-}
-
-/* planar5_jacobians:(q[5],obstacle_center[6],obstacle_radius[3],obstacle_count,influence_radius[6])->(obstacles_jacobian[5],tool_jacobian[10],point_jacobian[60]) */
-static int casadi_f1(const casadi_real** arg, casadi_real** res, casadi_int* iw, casadi_real* w, int mem) {
-  casadi_real a00, a01, a02, a03, a04, a05, a06, a07, a08, a09, a10, a11;
-  casadi_real a12, a13, a14, a15, a16, a17, a18, a19, a20, a21, a22, a23;
-  casadi_real a24, a25, a26, a27, a28, a29, a30, a31, a32, a33, a34, a35;
-  casadi_real a36, a37, a38, a39, a40, a41, a42, a43, a44, a45, a46, a47;
-  casadi_real a48, a49, a50, a51, a52, a53, a54, a55, a56, a57, a58, a59;
-  casadi_real a60, a61, a62, a63, a64, a65, a66, a67, a68, a69, a70, a71;
-  casadi_real a72, a73, a74, a75, a76, a77, a78, a79;
-  a00=arg[1]? arg[1][4] : 0;
-  a01=arg[0]? arg[0][0] : 0;
-  a02=1.4999999999999999e-01;
-  a03=arg[0]? arg[0][2] : 0;
-  a04=cos(a03);
-  a05=(a02*a04);
-  a03=sin(a03);
-  a02=(a02*a03);
-  a06=(a05-a02);
-  a07=(a01+a06);
-  a08=(a00-a07);
-  a09=casadi_sq(a08);
-  a10=arg[1]? arg[1][5] : 0;
-  a11=arg[0]? arg[0][1] : 0;
-  a12=(a02+a05);
-  a13=(a11+a12);
-  a14=(a10-a13);
-  a15=casadi_sq(a14);
-  a09=(a09+a15);
-  a09=sqrt(a09);
-  a15=2.;
-  a16=arg[3]? arg[3][0] : 0;
-  a15=(a15<a16);
-  a17=arg[2]? arg[2][2] : 0;
-  a17=(a15?a17:0);
-  a15=(!a15);
-  a18=-1000000.;
-  a15=(a15?a18:0);
-  a17=(a17+a15);
-  a09=(a09-a17);
-  a15=arg[1]? arg[1][2] : 0;
-  a19=(a15-a07);
-  a20=casadi_sq(a19);
-  a21=arg[1]? arg[1][3] : 0;
-  a22=(a21-a13);
-  a23=casadi_sq(a22);
-  a20=(a20+a23);
-  a20=sqrt(a20);
-  a23=1.;
-  a24=(a23<a16);
-  a25=arg[2]? arg[2][1] : 0;
-  a25=(a24?a25:0);
-  a24=(!a24);
-  a24=(a24?a18:0);
-  a25=(a25+a24);
-  a20=(a20-a25);
-  a24=arg[1]? arg[1][0] : 0;
-  a26=(a24-a07);
-  a27=casadi_sq(a26);
-  a28=arg[1]? arg[1][1] : 0;
-  a29=(a28-a13);
-  a30=casadi_sq(a29);
-  a27=(a27+a30);
-  a27=sqrt(a27);
-  a30=0.;
-  a16=(a30<a16);
-  a31=arg[2]? arg[2][0] : 0;
-  a31=(a16?a31:0);
-  a16=(!a16);
-  a16=(a16?a18:0);
-  a31=(a31+a16);
-  a27=(a27-a31);
-  a16=1000000.;
-  a18=(a27<a16);
-  a27=(a18?a27:0);
-  a32=(!a18);
-  a33=(a32?a16:0);
-  a27=(a27+a33);
-  a33=(a20<a27);
-  a20=(a33?a20:0);
-  a34=(!a33);
-  a27=(a34?a27:0);
-  a20=(a20+a27);
-  a27=(a09<a20);
-  a09=(a27?a09:0);
-  a35=(!a27);
-  a20=(a35?a20:0);
-  a09=(a09+a20);
-  a20=arg[4]? arg[4][0] : 0;
-  a36=(a09<=a20);
-  a20=(a20-a09);
-  a09=9.9999999999999998e-13;
-  a08=(a27?a08:0);
-  a19=(a33?a19:0);
-  a26=(a18?a26:0);
-  a32=(a32?a23:0);
-  a26=(a26+a32);
-  a26=(a34?a26:0);
-  a19=(a19+a26);
-  a19=(a35?a19:0);
-  a08=(a08+a19);
-  a19=casadi_sq(a08);
-  a27=(a27?a14:0);
-  a33=(a33?a22:0);
-  a18=(a18?a29:0);
-  a34=(a34?a18:0);
-  a33=(a33+a34);
-  a35=(a35?a33:0);
-  a27=(a27+a35);
-  a35=casadi_sq(a27);
-  a19=(a19+a35);
-  a19=sqrt(a19);
-  a35=(a09<a19);
-  a08=(a08/a19);
-  a08=(a35?a08:0);
-  a33=(!a35);
-  a33=(a33?a23:0);
-  a08=(a08+a33);
-  a08=(a20*a08);
-  a33=(a36?a08:0);
-  a34=-1.4999999999999999e-01;
-  a18=(a34*a03);
-  a05=(a05-a18);
-  a18=(a01+a05);
-  a29=(a00-a18);
-  a22=casadi_sq(a29);
-  a34=(a34*a04);
-  a02=(a02+a34);
-  a34=(a11+a02);
-  a14=(a10-a34);
-  a26=casadi_sq(a14);
-  a22=(a22+a26);
-  a22=sqrt(a22);
-  a22=(a22-a17);
-  a26=(a15-a18);
-  a32=casadi_sq(a26);
-  a37=(a21-a34);
-  a38=casadi_sq(a37);
-  a32=(a32+a38);
-  a32=sqrt(a32);
-  a32=(a32-a25);
-  a38=(a24-a18);
-  a39=casadi_sq(a38);
-  a40=(a28-a34);
-  a41=casadi_sq(a40);
-  a39=(a39+a41);
-  a39=sqrt(a39);
-  a39=(a39-a31);
-  a41=(a39<a16);
-  a39=(a41?a39:0);
-  a42=(!a41);
-  a43=(a42?a16:0);
-  a39=(a39+a43);
-  a43=(a32<a39);
-  a32=(a43?a32:0);
-  a44=(!a43);
-  a39=(a44?a39:0);
-  a32=(a32+a39);
-  a39=(a22<a32);
-  a22=(a39?a22:0);
-  a45=(!a39);
-  a32=(a45?a32:0);
-  a22=(a22+a32);
-  a32=arg[4]? arg[4][1] : 0;
-  a46=(a22<=a32);
-  a32=(a32-a22);
-  a29=(a39?a29:0);
-  a26=(a43?a26:0);
-  a38=(a41?a38:0);
-  a42=(a42?a23:0);
-  a38=(a38+a42);
-  a38=(a44?a38:0);
-  a26=(a26+a38);
-  a26=(a45?a26:0);
-  a29=(a29+a26);
-  a26=casadi_sq(a29);
-  a39=(a39?a14:0);
-  a43=(a43?a37:0);
-  a41=(a41?a40:0);
-  a44=(a44?a41:0);
-  a43=(a43+a44);
-  a45=(a45?a43:0);
-  a39=(a39+a45);
-  a45=casadi_sq(a39);
-  a26=(a26+a45);
-  a26=sqrt(a26);
-  a45=(a09<a26);
-  a29=(a29/a26);
-  a29=(a45?a29:0);
-  a43=(!a45);
-  a43=(a43?a23:0);
-  a29=(a29+a43);
-  a29=(a32*a29);
-  a43=(a46?a29:0);
-  a33=(a33+a43);
-  a43=2.0000000000000001e-01;
-  a44=(a43*a04);
-  a44=(a01+a44);
-  a41=2.5000000000000000e-01;
-  a40=arg[0]? arg[0][3] : 0;
-  a37=cos(a40);
-  a14=(a04*a37);
-  a40=sin(a40);
-  a38=(a03*a40);
-  a14=(a14-a38);
-  a38=(a41*a14);
-  a42=(a44+a38);
-  a22=(a00-a42);
-  a47=casadi_sq(a22);
-  a48=(a43*a03);
-  a48=(a11+a48);
-  a03=(a03*a37);
-  a04=(a04*a40);
-  a40=(a03+a04);
-  a41=(a41*a40);
-  a37=(a48+a41);
-  a49=(a10-a37);
-  a50=casadi_sq(a49);
-  a47=(a47+a50);
-  a47=sqrt(a47);
-  a47=(a47-a17);
-  a50=(a15-a42);
-  a51=casadi_sq(a50);
-  a52=(a21-a37);
-  a53=casadi_sq(a52);
-  a51=(a51+a53);
-  a51=sqrt(a51);
-  a51=(a51-a25);
-  a53=(a24-a42);
-  a54=casadi_sq(a53);
-  a55=(a28-a37);
-  a56=casadi_sq(a55);
-  a54=(a54+a56);
-  a54=sqrt(a54);
-  a54=(a54-a31);
-  a56=(a54<a16);
-  a54=(a56?a54:0);
-  a57=(!a56);
-  a58=(a57?a16:0);
-  a54=(a54+a58);
-  a58=(a51<a54);
-  a51=(a58?a51:0);
-  a59=(!a58);
-  a54=(a59?a54:0);
-  a51=(a51+a54);
-  a54=(a47<a51);
-  a47=(a54?a47:0);
-  a60=(!a54);
-  a51=(a60?a51:0);
-  a47=(a47+a51);
-  a51=arg[4]? arg[4][2] : 0;
-  a61=(a47<=a51);
-  a51=(a51-a47);
-  a22=(a54?a22:0);
-  a50=(a58?a50:0);
-  a53=(a56?a53:0);
-  a57=(a57?a23:0);
-  a53=(a53+a57);
-  a53=(a59?a53:0);
-  a50=(a50+a53);
-  a50=(a60?a50:0);
-  a22=(a22+a50);
-  a50=casadi_sq(a22);
-  a54=(a54?a49:0);
-  a58=(a58?a52:0);
-  a56=(a56?a55:0);
-  a59=(a59?a56:0);
-  a58=(a58+a59);
-  a60=(a60?a58:0);
-  a54=(a54+a60);
-  a60=casadi_sq(a54);
-  a50=(a50+a60);
-  a50=sqrt(a50);
-  a60=(a09<a50);
-  a22=(a22/a50);
-  a22=(a60?a22:0);
-  a58=(!a60);
-  a58=(a58?a23:0);
-  a22=(a22+a58);
-  a22=(a51*a22);
-  a58=(a61?a22:0);
-  a59=5.0000000000000000e-01;
-  a56=(a59*a14);
-  a55=(a44+a56);
-  a52=(a00-a55);
-  a49=casadi_sq(a52);
-  a59=(a59*a40);
-  a53=(a48+a59);
-  a57=(a10-a53);
-  a47=casadi_sq(a57);
-  a49=(a49+a47);
-  a49=sqrt(a49);
-  a49=(a49-a17);
-  a47=(a15-a55);
-  a62=casadi_sq(a47);
-  a63=(a21-a53);
-  a64=casadi_sq(a63);
-  a62=(a62+a64);
-  a62=sqrt(a62);
-  a62=(a62-a25);
-  a64=(a24-a55);
-  a65=casadi_sq(a64);
-  a66=(a28-a53);
-  a67=casadi_sq(a66);
-  a65=(a65+a67);
-  a65=sqrt(a65);
-  a65=(a65-a31);
-  a67=(a65<a16);
-  a65=(a67?a65:0);
-  a68=(!a67);
-  a69=(a68?a16:0);
-  a65=(a65+a69);
-  a69=(a62<a65);
-  a62=(a69?a62:0);
-  a70=(!a69);
-  a65=(a70?a65:0);
-  a62=(a62+a65);
-  a65=(a49<a62);
-  a49=(a65?a49:0);
-  a71=(!a65);
-  a62=(a71?a62:0);
-  a49=(a49+a62);
-  a62=arg[4]? arg[4][3] : 0;
-  a72=(a49<=a62);
-  a62=(a62-a49);
-  a52=(a65?a52:0);
-  a47=(a69?a47:0);
-  a64=(a67?a64:0);
-  a68=(a68?a23:0);
-  a64=(a64+a68);
-  a64=(a70?a64:0);
-  a47=(a47+a64);
-  a47=(a71?a47:0);
-  a52=(a52+a47);
-  a47=casadi_sq(a52);
-  a65=(a65?a57:0);
-  a69=(a69?a63:0);
-  a67=(a67?a66:0);
-  a70=(a70?a67:0);
-  a69=(a69+a70);
-  a71=(a71?a69:0);
-  a65=(a65+a71);
-  a71=casadi_sq(a65);
-  a47=(a47+a71);
-  a47=sqrt(a47);
-  a71=(a09<a47);
-  a52=(a52/a47);
-  a52=(a71?a52:0);
-  a69=(!a71);
-  a69=(a69?a23:0);
-  a52=(a52+a69);
-  a52=(a62*a52);
-  a69=(a72?a52:0);
-  a58=(a58+a69);
-  a69=arg[0]? arg[0][4] : 0;
-  a70=cos(a69);
-  a67=(a14*a70);
-  a04=(a04+a03);
-  a69=sin(a69);
-  a04=(a04*a69);
-  a67=(a67-a04);
-  a04=(a43*a67);
-  a03=(a55+a04);
-  a66=(a00-a03);
-  a63=casadi_sq(a66);
-  a40=(a40*a70);
-  a14=(a14*a69);
-  a40=(a40+a14);
-  a43=(a43*a40);
-  a14=(a53+a43);
-  a69=(a10-a14);
-  a70=casadi_sq(a69);
-  a63=(a63+a70);
-  a63=sqrt(a63);
-  a63=(a63-a17);
-  a70=(a15-a03);
-  a57=casadi_sq(a70);
-  a64=(a21-a14);
-  a68=casadi_sq(a64);
-  a57=(a57+a68);
-  a57=sqrt(a57);
-  a57=(a57-a25);
-  a68=(a24-a03);
-  a49=casadi_sq(a68);
-  a73=(a28-a14);
-  a74=casadi_sq(a73);
-  a49=(a49+a74);
-  a49=sqrt(a49);
-  a49=(a49-a31);
-  a74=(a49<a16);
-  a49=(a74?a49:0);
-  a75=(!a74);
-  a76=(a75?a16:0);
-  a49=(a49+a76);
-  a76=(a57<a49);
-  a57=(a76?a57:0);
-  a77=(!a76);
-  a49=(a77?a49:0);
-  a57=(a57+a49);
-  a49=(a63<a57);
-  a63=(a49?a63:0);
-  a78=(!a49);
-  a57=(a78?a57:0);
-  a63=(a63+a57);
-  a57=arg[4]? arg[4][4] : 0;
-  a79=(a63<=a57);
-  a57=(a57-a63);
-  a66=(a49?a66:0);
-  a70=(a76?a70:0);
-  a68=(a74?a68:0);
-  a75=(a75?a23:0);
-  a68=(a68+a75);
-  a68=(a77?a68:0);
-  a70=(a70+a68);
-  a70=(a78?a70:0);
-  a66=(a66+a70);
-  a70=casadi_sq(a66);
-  a49=(a49?a69:0);
-  a76=(a76?a64:0);
-  a74=(a74?a73:0);
-  a77=(a77?a74:0);
-  a76=(a76+a77);
-  a78=(a78?a76:0);
-  a49=(a49+a78);
-  a78=casadi_sq(a49);
-  a70=(a70+a78);
-  a70=sqrt(a70);
-  a78=(a09<a70);
-  a66=(a66/a70);
-  a66=(a78?a66:0);
-  a76=(!a78);
-  a76=(a76?a23:0);
-  a66=(a66+a76);
-  a66=(a57*a66);
-  a76=(a79?a66:0);
-  a77=4.0000000000000002e-01;
-  a67=(a77*a67);
-  a74=(a55+a67);
-  a00=(a00-a74);
-  a73=casadi_sq(a00);
-  a77=(a77*a40);
-  a40=(a53+a77);
-  a10=(a10-a40);
-  a64=casadi_sq(a10);
-  a73=(a73+a64);
-  a73=sqrt(a73);
-  a73=(a73-a17);
-  a15=(a15-a74);
-  a17=casadi_sq(a15);
-  a21=(a21-a40);
-  a64=casadi_sq(a21);
-  a17=(a17+a64);
-  a17=sqrt(a17);
-  a17=(a17-a25);
-  a24=(a24-a74);
-  a25=casadi_sq(a24);
-  a28=(a28-a40);
-  a64=casadi_sq(a28);
-  a25=(a25+a64);
-  a25=sqrt(a25);
-  a25=(a25-a31);
-  a31=(a25<a16);
-  a25=(a31?a25:0);
-  a64=(!a31);
-  a16=(a64?a16:0);
-  a25=(a25+a16);
-  a16=(a17<a25);
-  a17=(a16?a17:0);
-  a69=(!a16);
-  a25=(a69?a25:0);
-  a17=(a17+a25);
-  a25=(a73<a17);
-  a73=(a25?a73:0);
-  a68=(!a25);
-  a17=(a68?a17:0);
-  a73=(a73+a17);
-  a17=arg[4]? arg[4][5] : 0;
-  a75=(a73<=a17);
-  a17=(a17-a73);
-  a00=(a25?a00:0);
-  a15=(a16?a15:0);
-  a24=(a31?a24:0);
-  a64=(a64?a23:0);
-  a24=(a24+a64);
-  a24=(a69?a24:0);
-  a15=(a15+a24);
-  a15=(a68?a15:0);
-  a00=(a00+a15);
-  a15=casadi_sq(a00);
-  a25=(a25?a10:0);
-  a16=(a16?a21:0);
-  a31=(a31?a28:0);
-  a69=(a69?a31:0);
-  a16=(a16+a69);
-  a68=(a68?a16:0);
-  a25=(a25+a68);
-  a68=casadi_sq(a25);
-  a15=(a15+a68);
-  a15=sqrt(a15);
-  a09=(a09<a15);
-  a00=(a00/a15);
-  a00=(a09?a00:0);
-  a68=(!a09);
-  a68=(a68?a23:0);
-  a00=(a00+a68);
-  a00=(a17*a00);
-  a68=(a75?a00:0);
-  a76=(a76+a68);
-  a58=(a58+a76);
-  a33=(a33+a58);
-  if (res[0]!=0) res[0][0]=a33;
-  a27=(a27/a19);
-  a20=(a20*a27);
-  a27=(a36?a20:0);
-  a27=(a35?a27:0);
-  a39=(a39/a26);
-  a32=(a32*a39);
-  a39=(a46?a32:0);
-  a39=(a45?a39:0);
-  a27=(a27+a39);
-  a54=(a54/a50);
-  a51=(a51*a54);
-  a54=(a61?a51:0);
-  a54=(a60?a54:0);
-  a65=(a65/a47);
-  a62=(a62*a65);
-  a65=(a72?a62:0);
-  a65=(a71?a65:0);
-  a54=(a54+a65);
-  a49=(a49/a70);
-  a57=(a57*a49);
-  a49=(a79?a57:0);
-  a49=(a78?a49:0);
-  a25=(a25/a15);
-  a17=(a17*a25);
-  a25=(a75?a17:0);
-  a25=(a09?a25:0);
-  a49=(a49+a25);
-  a54=(a54+a49);
-  a27=(a27+a54);
-  if (res[0]!=0) res[0][1]=a27;
-  a07=(a07*a20);
-  a07=(a36?a07:0);
-  a35=(a35?a07:0);
-  a13=(a13*a08);
-  a36=(a36?a13:0);
-  a35=(a35-a36);
-  a18=(a18*a32);
-  a18=(a46?a18:0);
-  a45=(a45?a18:0);
-  a34=(a34*a29);
-  a46=(a46?a34:0);
-  a45=(a45-a46);
-  a35=(a35+a45);
-  a51=(a42*a51);
-  a51=(a61?a51:0);
-  a60=(a60?a51:0);
-  a22=(a37*a22);
-  a61=(a61?a22:0);
-  a60=(a60-a61);
-  a62=(a55*a62);
-  a62=(a72?a62:0);
-  a71=(a71?a62:0);
-  a52=(a53*a52);
-  a72=(a72?a52:0);
-  a71=(a71-a72);
-  a60=(a60+a71);
-  a57=(a03*a57);
-  a57=(a79?a57:0);
-  a78=(a78?a57:0);
-  a66=(a14*a66);
-  a79=(a79?a66:0);
-  a78=(a78-a79);
-  a17=(a74*a17);
-  a17=(a75?a17:0);
-  a09=(a09?a17:0);
-  a00=(a40*a00);
-  a75=(a75?a00:0);
-  a09=(a09-a75);
-  a78=(a78+a09);
-  a60=(a60+a78);
-  a35=(a35+a60);
-  a27=(a01*a27);
-  a33=(a11*a33);
-  a27=(a27-a33);
-  a35=(a35-a27);
-  if (res[0]!=0) res[0][2]=a35;
-  a54=(a44*a54);
-  a58=(a48*a58);
-  a54=(a54-a58);
-  a60=(a60-a54);
-  if (res[0]!=0) res[0][3]=a60;
-  a49=(a55*a49);
-  a76=(a53*a76);
-  a49=(a49-a76);
-  a78=(a78-a49);
-  if (res[0]!=0) res[0][4]=a78;
-  if (res[1]!=0) res[1][0]=a23;
-  if (res[1]!=0) res[1][1]=a30;
-  a78=(a40-a11);
-  a78=(-a78);
-  if (res[1]!=0) res[1][2]=a78;
-  a40=(a40-a48);
-  a40=(-a40);
-  if (res[1]!=0) res[1][3]=a40;
-  a77=(-a77);
-  if (res[1]!=0) res[1][4]=a77;
-  if (res[1]!=0) res[1][5]=a30;
-  if (res[1]!=0) res[1][6]=a23;
-  a49=(a74-a01);
-  if (res[1]!=0) res[1][7]=a49;
-  a74=(a74-a44);
-  if (res[1]!=0) res[1][8]=a74;
-  if (res[1]!=0) res[1][9]=a67;
-  if (res[2]!=0) res[2][0]=a23;
-  if (res[2]!=0) res[2][1]=a30;
-  a12=(-a12);
-  if (res[2]!=0) res[2][2]=a12;
-  if (res[2]!=0) res[2][3]=a30;
-  if (res[2]!=0) res[2][4]=a30;
-  if (res[2]!=0) res[2][5]=a30;
-  if (res[2]!=0) res[2][6]=a23;
-  if (res[2]!=0) res[2][7]=a06;
-  if (res[2]!=0) res[2][8]=a30;
-  if (res[2]!=0) res[2][9]=a30;
-  if (res[2]!=0) res[2][10]=a23;
-  if (res[2]!=0) res[2][11]=a30;
-  a02=(-a02);
-  if (res[2]!=0) res[2][12]=a02;
-  if (res[2]!=0) res[2][13]=a30;
-  if (res[2]!=0) res[2][14]=a30;
-  if (res[2]!=0) res[2][15]=a30;
-  if (res[2]!=0) res[2][16]=a23;
-  if (res[2]!=0) res[2][17]=a05;
-  if (res[2]!=0) res[2][18]=a30;
-  if (res[2]!=0) res[2][19]=a30;
-  if (res[2]!=0) res[2][20]=a23;
-  if (res[2]!=0) res[2][21]=a30;
-  a37=(a37-a11);
-  a37=(-a37);
-  if (res[2]!=0) res[2][22]=a37;
-  a41=(-a41);
-  if (res[2]!=0) res[2][23]=a41;
-  if (res[2]!=0) res[2][24]=a30;
-  if (res[2]!=0) res[2][25]=a30;
-  if (res[2]!=0) res[2][26]=a23;
-  a42=(a42-a01);
-  if (res[2]!=0) res[2][27]=a42;
-  if (res[2]!=0) res[2][28]=a38;
-  if (res[2]!=0) res[2][29]=a30;
-  if (res[2]!=0) res[2][30]=a23;
-  if (res[2]!=0) res[2][31]=a30;
-  a53=(a53-a11);
-  a53=(-a53);
-  if (res[2]!=0) res[2][32]=a53;
-  a59=(-a59);
-  if (res[2]!=0) res[2][33]=a59;
-  if (res[2]!=0) res[2][34]=a30;
-  if (res[2]!=0) res[2][35]=a30;
-  if (res[2]!=0) res[2][36]=a23;
-  a55=(a55-a01);
-  if (res[2]!=0) res[2][37]=a55;
-  if (res[2]!=0) res[2][38]=a56;
-  if (res[2]!=0) res[2][39]=a30;
-  if (res[2]!=0) res[2][40]=a23;
-  if (res[2]!=0) res[2][41]=a30;
-  a11=(a14-a11);
-  a11=(-a11);
-  if (res[2]!=0) res[2][42]=a11;
-  a14=(a14-a48);
-  a14=(-a14);
-  if (res[2]!=0) res[2][43]=a14;
-  a43=(-a43);
-  if (res[2]!=0) res[2][44]=a43;
-  if (res[2]!=0) res[2][45]=a30;
-  if (res[2]!=0) res[2][46]=a23;
-  a01=(a03-a01);
-  if (res[2]!=0) res[2][47]=a01;
-  a03=(a03-a44);
-  if (res[2]!=0) res[2][48]=a03;
-  if (res[2]!=0) res[2][49]=a04;
-  if (res[2]!=0) res[2][50]=a23;
-  if (res[2]!=0) res[2][51]=a30;
-  if (res[2]!=0) res[2][52]=a78;
-  if (res[2]!=0) res[2][53]=a40;
-  if (res[2]!=0) res[2][54]=a77;
-  if (res[2]!=0) res[2][55]=a30;
-  if (res[2]!=0) res[2][56]=a23;
-  if (res[2]!=0) res[2][57]=a49;
-  if (res[2]!=0) res[2][58]=a74;
-  if (res[2]!=0) res[2][59]=a67;
-  return 0;
-}
-
-CASADI_SYMBOL_EXPORT int planar5_jacobians(const casadi_real** arg, casadi_real** res, casadi_int* iw, casadi_real* w, int mem){
-  return casadi_f1(arg, res, iw, w, mem);
-}
-
-CASADI_SYMBOL_EXPORT int planar5_jacobians_checkout(void) {
-  return 0;
-}
-
-CASADI_SYMBOL_EXPORT void planar5_jacobians_release(int mem) {
-}
-
-CASADI_SYMBOL_EXPORT void planar5_jacobians_incref(void) {
-}
-
-CASADI_SYMBOL_EXPORT void planar5_jacobians_decref(void) {
-}
-
-CASADI_SYMBOL_EXPORT casadi_int planar5_jacobians_n_in(void) { return 5;}
-
-CASADI_SYMBOL_EXPORT casadi_int planar5_jacobians_n_out(void) { return 3;}
-
-CASADI_SYMBOL_EXPORT casadi_real planar5_jacobians_default_in(casadi_int i) {
-  switch (i) {
-    default: return 0;
-  }
-}
-
-CASADI_SYMBOL_EXPORT const char* planar5_jacobians_name_in(casadi_int i) {
-  switch (i) {
-    case 0: return "q";
-    case 1: return "obstacle_center";
-    case 2: return "obstacle_radius";
-    case 3: return "obstacle_count";
-    case 4: return "influence_radius";
-    default: return 0;
-  }
-}
-
-CASADI_SYMBOL_EXPORT const char* planar5_jacobians_name_out(casadi_int i) {
-  switch (i) {
-    case 0: return "obstacles_jacobian";
-    case 1: return "tool_jacobian";
-    case 2: return "point_jacobian";
-    default: return 0;
-  }
-}
-
-CASADI_SYMBOL_EXPORT const casadi_int* planar5_jacobians_sparsity_in(casadi_int i) {
-  switch (i) {
-    case 0: return casadi_s0;
-    case 1: return casadi_s4;
-    case 2: return casadi_s5;
-    case 3: return casadi_s6;
-    case 4: return casadi_s4;
-    default: return 0;
-  }
-}
-
-CASADI_SYMBOL_EXPORT const casadi_int* planar5_jacobians_sparsity_out(casadi_int i) {
-  switch (i) {
-    case 0: return casadi_s0;
-    case 1: return casadi_s7;
-    case 2: return casadi_s3;
-    default: return 0;
-  }
-}
-
-CASADI_SYMBOL_EXPORT int planar5_jacobians_work(casadi_int *sz_arg, casadi_int* sz_res, casadi_int *sz_iw, casadi_int *sz_w) {
-  if (sz_arg) *sz_arg = 5;
-  if (sz_res) *sz_res = 3;
-  if (sz_iw) *sz_iw = 0;
-  if (sz_w) *sz_w = 0;
-  return 0;
-}
-
-CASADI_SYMBOL_EXPORT int planar5_jacobians_work_bytes(casadi_int *sz_arg, casadi_int* sz_res, casadi_int *sz_iw, casadi_int *sz_w) {
-  if (sz_arg) *sz_arg = 5*sizeof(const casadi_real*);
-  if (sz_res) *sz_res = 3*sizeof(casadi_real*);
-  if (sz_iw) *sz_iw = 0*sizeof(casadi_int);
-  if (sz_w) *sz_w = 0*sizeof(casadi_real);
-  return 0;
-}
-
-/* planar5_step:(q[5],obstacles_gain,obstacles_damping,tool_reference[2],tool_reference_velocity[2],tool_gain[4],tool_damping,obstacle_center[6],obstacle_radius[3],obstacle_count,influence_radius[6],filter_cutoff[5],lam_free,lam_event,period)->(q_next[5],dq[5],dq_law[5],obstacles_potential,tool_position[2],tool_error[2],lam,active,distance[6],clearance) */
-static int casadi_f2(const casadi_real** arg, casadi_real** res, casadi_int* iw, casadi_real* w, int mem) {
-  casadi_real a000, a001, a002, a003, a004, a005, a006, a007, a008, a009, a010, a011;
-  casadi_real a012, a013, a014, a015, a016, a017, a018, a019, a020, a021, a022, a023;
-  casadi_real a024, a025, a026, a027, a028, a029, a030, a031, a032, a033, a034, a035;
-  casadi_real a036, a037, a038, a039, a040, a041, a042, a043, a044, a045, a046, a047;
-  casadi_real a048, a049, a050, a051, a052, a053, a054, a055, a056, a057, a058, a059;
-  casadi_real a060, a061, a062, a063, a064, a065, a066, a067, a068, a069, a070, a071;
-  casadi_real a072, a073, a074, a075, a076, a077, a078, a079, a080, a081, a082, a083;
-  casadi_real a084, a085, a086, a087, a088, a089, a090, a091, a092, a093, a094, a095;
-  casadi_real a096, a097, a098, a099, a100, a101, a102, a103, a104, a105, a106, a107;
-  casadi_real a108, a109, a110, a111, a112, a113, a114, a115, a116, a117, a118, a119;
-  casadi_real a120, a121, a122, a123, a124, a125, a126, a127, a128, a129, a130, a131;
-  a000=0.;
-  a001=arg[7]? arg[7][4] : 0;
-  a002=arg[0]? arg[0][0] : 0;
-  a003=1.4999999999999999e-01;
-  a004=arg[0]? arg[0][2] : 0;
-  a005=cos(a004);
-  a006=(a003*a005);
-  a007=sin(a004);
-  a003=(a003*a007);
-  a008=(a006-a003);
-  a008=(a002+a008);
-  a009=(a001-a008);
-  a010=casadi_sq(a009);
-  a011=arg[7]? arg[7][5] : 0;
-  a012=arg[0]? arg[0][1] : 0;
-  a013=(a003+a006);
-  a013=(a012+a013);
-  a014=(a011-a013);
-  a015=casadi_sq(a014);
-  a010=(a010+a015);
-  a010=sqrt(a010);
-  a015=2.;
-  a016=arg[9]? arg[9][0] : 0;
-  a017=(a015<a016);
-  a018=arg[8]? arg[8][2] : 0;
-  a018=(a017?a018:0);
-  a017=(!a017);
-  a019=-1000000.;
-  a017=(a017?a019:0);
-  a018=(a018+a017);
-  a010=(a010-a018);
-  a017=arg[7]? arg[7][2] : 0;
-  a020=(a017-a008);
-  a021=casadi_sq(a020);
-  a022=arg[7]? arg[7][3] : 0;
-  a023=(a022-a013);
-  a024=casadi_sq(a023);
-  a021=(a021+a024);
-  a021=sqrt(a021);
-  a024=1.;
-  a025=(a024<a016);
-  a026=arg[8]? arg[8][1] : 0;
-  a026=(a025?a026:0);
-  a025=(!a025);
-  a025=(a025?a019:0);
-  a026=(a026+a025);
-  a021=(a021-a026);
-  a025=arg[7]? arg[7][0] : 0;
-  a027=(a025-a008);
-  a028=casadi_sq(a027);
-  a029=arg[7]? arg[7][1] : 0;
-  a030=(a029-a013);
-  a031=casadi_sq(a030);
-  a028=(a028+a031);
-  a028=sqrt(a028);
-  a016=(a000<a016);
-  a031=arg[8]? arg[8][0] : 0;
-  a031=(a016?a031:0);
-  a016=(!a016);
-  a016=(a016?a019:0);
-  a031=(a031+a016);
-  a028=(a028-a031);
-  a016=1000000.;
-  a019=(a028<a016);
-  a028=(a019?a028:0);
-  a032=(!a019);
-  a033=(a032?a016:0);
-  a028=(a028+a033);
-  a033=(a021<a028);
-  a021=(a033?a021:0);
-  a034=(!a033);
-  a028=(a034?a028:0);
-  a021=(a021+a028);
-  a028=(a010<a021);
-  a010=(a028?a010:0);
-  a035=(!a028);
-  a021=(a035?a021:0);
-  a010=(a010+a021);
-  a021=arg[10]? arg[10][0] : 0;
-  a036=(a010<=a021);
-  a000=(a000||a036);
-  a037=-1.4999999999999999e-01;
-  a038=(a037*a007);
-  a006=(a006-a038);
-  a006=(a002+a006);
-  a038=(a001-a006);
-  a039=casadi_sq(a038);
-  a037=(a037*a005);
-  a003=(a003+a037);
-  a003=(a012+a003);
-  a037=(a011-a003);
-  a040=casadi_sq(a037);
-  a039=(a039+a040);
-  a039=sqrt(a039);
-  a039=(a039-a018);
-  a040=(a017-a006);
-  a041=casadi_sq(a040);
-  a042=(a022-a003);
-  a043=casadi_sq(a042);
-  a041=(a041+a043);
-  a041=sqrt(a041);
-  a041=(a041-a026);
-  a043=(a025-a006);
-  a044=casadi_sq(a043);
-  a045=(a029-a003);
-  a046=casadi_sq(a045);
-  a044=(a044+a046);
-  a044=sqrt(a044);
-  a044=(a044-a031);
-  a046=(a044<a016);
-  a044=(a046?a044:0);
-  a047=(!a046);
-  a048=(a047?a016:0);
-  a044=(a044+a048);
-  a048=(a041<a044);
-  a041=(a048?a041:0);
-  a049=(!a048);
-  a044=(a049?a044:0);
-  a041=(a041+a044);
-  a044=(a039<a041);
-  a039=(a044?a039:0);
-  a050=(!a044);
-  a041=(a050?a041:0);
-  a039=(a039+a041);
-  a041=arg[10]? arg[10][1] : 0;
-  a051=(a039<=a041);
-  a000=(a000||a051);
-  a052=2.0000000000000001e-01;
-  a053=(a052*a005);
-  a053=(a002+a053);
-  a054=2.5000000000000000e-01;
-  a055=arg[0]? arg[0][3] : 0;
-  a056=cos(a055);
-  a057=(a005*a056);
-  a058=sin(a055);
-  a059=(a007*a058);
-  a057=(a057-a059);
-  a059=(a054*a057);
-  a059=(a053+a059);
-  a060=(a001-a059);
-  a061=casadi_sq(a060);
-  a062=(a052*a007);
-  a062=(a012+a062);
-  a007=(a007*a056);
-  a005=(a005*a058);
-  a058=(a007+a005);
-  a054=(a054*a058);
-  a054=(a062+a054);
-  a056=(a011-a054);
-  a063=casadi_sq(a056);
-  a061=(a061+a063);
-  a061=sqrt(a061);
-  a061=(a061-a018);
-  a063=(a017-a059);
-  a064=casadi_sq(a063);
-  a065=(a022-a054);
-  a066=casadi_sq(a065);
-  a064=(a064+a066);
-  a064=sqrt(a064);
-  a064=(a064-a026);
-  a066=(a025-a059);
-  a067=casadi_sq(a066);
-  a068=(a029-a054);
-  a069=casadi_sq(a068);
-  a067=(a067+a069);
-  a067=sqrt(a067);
-  a067=(a067-a031);
-  a069=(a067<a016);
-  a067=(a069?a067:0);
-  a070=(!a069);
-  a071=(a070?a016:0);
-  a067=(a067+a071);
-  a071=(a064<a067);
-  a064=(a071?a064:0);
-  a072=(!a071);
-  a067=(a072?a067:0);
-  a064=(a064+a067);
-  a067=(a061<a064);
-  a061=(a067?a061:0);
-  a073=(!a067);
-  a064=(a073?a064:0);
-  a061=(a061+a064);
-  a064=arg[10]? arg[10][2] : 0;
-  a074=(a061<=a064);
-  a000=(a000||a074);
-  a075=5.0000000000000000e-01;
-  a076=(a075*a057);
-  a076=(a053+a076);
-  a077=(a001-a076);
-  a078=casadi_sq(a077);
-  a075=(a075*a058);
-  a075=(a062+a075);
-  a079=(a011-a075);
-  a080=casadi_sq(a079);
-  a078=(a078+a080);
-  a078=sqrt(a078);
-  a078=(a078-a018);
-  a080=(a017-a076);
-  a081=casadi_sq(a080);
-  a082=(a022-a075);
-  a083=casadi_sq(a082);
-  a081=(a081+a083);
-  a081=sqrt(a081);
-  a081=(a081-a026);
-  a083=(a025-a076);
-  a084=casadi_sq(a083);
-  a085=(a029-a075);
-  a086=casadi_sq(a085);
-  a084=(a084+a086);
-  a084=sqrt(a084);
-  a084=(a084-a031);
-  a086=(a084<a016);
-  a084=(a086?a084:0);
-  a087=(!a086);
-  a088=(a087?a016:0);
-  a084=(a084+a088);
-  a088=(a081<a084);
-  a081=(a088?a081:0);
-  a089=(!a088);
-  a084=(a089?a084:0);
-  a081=(a081+a084);
-  a084=(a078<a081);
-  a078=(a084?a078:0);
-  a090=(!a084);
-  a081=(a090?a081:0);
-  a078=(a078+a081);
-  a081=arg[10]? arg[10][3] : 0;
-  a091=(a078<=a081);
-  a000=(a000||a091);
-  a092=arg[0]? arg[0][4] : 0;
-  a093=cos(a092);
-  a094=(a057*a093);
-  a005=(a005+a007);
-  a007=sin(a092);
-  a005=(a005*a007);
-  a094=(a094-a005);
-  a005=(a052*a094);
-  a005=(a076+a005);
-  a095=(a001-a005);
-  a096=casadi_sq(a095);
-  a058=(a058*a093);
-  a057=(a057*a007);
-  a058=(a058+a057);
-  a052=(a052*a058);
-  a052=(a075+a052);
-  a057=(a011-a052);
-  a007=casadi_sq(a057);
-  a096=(a096+a007);
-  a096=sqrt(a096);
-  a096=(a096-a018);
-  a007=(a017-a005);
-  a093=casadi_sq(a007);
-  a097=(a022-a052);
-  a098=casadi_sq(a097);
-  a093=(a093+a098);
-  a093=sqrt(a093);
-  a093=(a093-a026);
-  a098=(a025-a005);
-  a099=casadi_sq(a098);
-  a100=(a029-a052);
-  a101=casadi_sq(a100);
-  a099=(a099+a101);
-  a099=sqrt(a099);
-  a099=(a099-a031);
-  a101=(a099<a016);
-  a099=(a101?a099:0);
-  a102=(!a101);
-  a103=(a102?a016:0);
-  a099=(a099+a103);
-  a103=(a093<a099);
-  a093=(a103?a093:0);
-  a104=(!a103);
-  a099=(a104?a099:0);
-  a093=(a093+a099);
-  a099=(a096<a093);
-  a096=(a099?a096:0);
-  a105=(!a099);
-  a093=(a105?a093:0);
-  a096=(a096+a093);
-  a093=arg[10]? arg[10][4] : 0;
-  a106=(a096<=a093);
-  a000=(a000||a106);
-  a107=4.0000000000000002e-01;
-  a094=(a107*a094);
-  a108=(a076+a094);
-  a001=(a001-a108);
-  a109=casadi_sq(a001);
-  a107=(a107*a058);
-  a058=(a075+a107);
-  a011=(a011-a058);
-  a110=casadi_sq(a011);
-  a109=(a109+a110);
-  a109=sqrt(a109);
-  a109=(a109-a018);
-  a017=(a017-a108);
-  a018=casadi_sq(a017);
-  a022=(a022-a058);
-  a110=casadi_sq(a022);
-  a018=(a018+a110);
-  a018=sqrt(a018);
-  a018=(a018-a026);
-  a025=(a025-a108);
-  a026=casadi_sq(a025);
-  a029=(a029-a058);
-  a110=casadi_sq(a029);
-  a026=(a026+a110);
-  a026=sqrt(a026);
-  a026=(a026-a031);
-  a031=(a026<a016);
-  a026=(a031?a026:0);
-  a110=(!a031);
-  a016=(a110?a016:0);
-  a026=(a026+a016);
-  a016=(a018<a026);
-  a018=(a016?a018:0);
-  a111=(!a016);
-  a026=(a111?a026:0);
-  a018=(a018+a026);
-  a026=(a109<a018);
-  a109=(a026?a109:0);
-  a112=(!a026);
-  a018=(a112?a018:0);
-  a109=(a109+a018);
-  a018=arg[10]? arg[10][5] : 0;
-  a113=(a109<=a018);
-  a000=(a000||a113);
-  a114=arg[13]? arg[13][0] : 0;
-  a114=(a000?a114:0);
-  a115=(!a000);
-  a116=arg[12]? arg[12][0] : 0;
-  a115=(a115?a116:0);
-  a114=(a114+a115);
-  a115=6.2831853071795862e+00;
-  a116=arg[14]? arg[14][0] : 0;
-  a115=(a115*a116);
-  a117=arg[11]? arg[11][0] : 0;
-  a117=(a115*a117);
-  a118=(a024+a117);
-  a117=(a117/a118);
-  a118=arg[4]? arg[4][0] : 0;
-  a119=arg[5]? arg[5][0] : 0;
-  a120=arg[3]? arg[3][0] : 0;
-  a120=(a120-a108);
-  a119=(a119*a120);
-  a121=arg[5]? arg[5][1] : 0;
-  a122=arg[3]? arg[3][1] : 0;
-  a122=(a122-a058);
-  a121=(a121*a122);
-  a119=(a119+a121);
-  a118=(a118+a119);
-  a119=(a058-a012);
-  a121=casadi_sq(a119);
-  a121=(a024+a121);
-  a123=(a058-a062);
-  a124=casadi_sq(a123);
-  a121=(a121+a124);
-  a124=casadi_sq(a107);
-  a121=(a121+a124);
-  a124=arg[6]? arg[6][0] : 0;
-  a124=casadi_sq(a124);
-  a121=(a121+a124);
-  a125=(a118/a121);
-  a126=(a108-a002);
-  a127=(a126*a119);
-  a128=(a108-a053);
-  a129=(a128*a123);
-  a127=(a127+a129);
-  a129=(a094*a107);
-  a127=(a127+a129);
-  a127=(a127/a121);
-  a129=arg[4]? arg[4][1] : 0;
-  a130=arg[5]? arg[5][2] : 0;
-  a130=(a130*a120);
-  a131=arg[5]? arg[5][3] : 0;
-  a131=(a131*a122);
-  a130=(a130+a131);
-  a129=(a129+a130);
-  a118=(a127*a118);
-  a129=(a129+a118);
-  a118=casadi_sq(a126);
-  a118=(a024+a118);
-  a130=casadi_sq(a128);
-  a118=(a118+a130);
-  a130=casadi_sq(a094);
-  a118=(a118+a130);
-  a118=(a118+a124);
-  a130=casadi_sq(a127);
-  a130=(a130*a121);
-  a130=(a118-a130);
-  a131=1.4210854715202004e-14;
-  a121=(a121+a118);
-  a131=(a131*a121);
-  a124=(a124+a131);
-  a130=casadi_fmax(a130,a124);
-  a129=(a129/a130);
-  a127=(a127*a129);
-  a125=(a125+a127);
-  a127=(a021-a010);
-  a130=9.9999999999999998e-13;
-  a009=(a028?a009:0);
-  a020=(a033?a020:0);
-  a027=(a019?a027:0);
-  a032=(a032?a024:0);
-  a027=(a027+a032);
-  a027=(a034?a027:0);
-  a020=(a020+a027);
-  a020=(a035?a020:0);
-  a009=(a009+a020);
-  a020=casadi_sq(a009);
-  a028=(a028?a014:0);
-  a033=(a033?a023:0);
-  a019=(a019?a030:0);
-  a034=(a034?a019:0);
-  a033=(a033+a034);
-  a035=(a035?a033:0);
-  a028=(a028+a035);
-  a035=casadi_sq(a028);
-  a020=(a020+a035);
-  a020=sqrt(a020);
-  a035=(a130<a020);
-  a009=(a009/a020);
-  a009=(a035?a009:0);
-  a033=(!a035);
-  a033=(a033?a024:0);
-  a009=(a009+a033);
-  a009=(a127*a009);
-  a033=(a036?a009:0);
-  a034=(a041-a039);
-  a038=(a044?a038:0);
-  a040=(a048?a040:0);
-  a043=(a046?a043:0);
-  a047=(a047?a024:0);
-  a043=(a043+a047);
-  a043=(a049?a043:0);
-  a040=(a040+a043);
-  a040=(a050?a040:0);
-  a038=(a038+a040);
-  a040=casadi_sq(a038);
-  a044=(a044?a037:0);
-  a048=(a048?a042:0);
-  a046=(a046?a045:0);
-  a049=(a049?a046:0);
-  a048=(a048+a049);
-  a050=(a050?a048:0);
-  a044=(a044+a050);
-  a050=casadi_sq(a044);
-  a040=(a040+a050);
-  a040=sqrt(a040);
-  a050=(a130<a040);
-  a038=(a038/a040);
-  a038=(a050?a038:0);
-  a048=(!a050);
-  a048=(a048?a024:0);
-  a038=(a038+a048);
-  a038=(a034*a038);
-  a048=(a051?a038:0);
-  a033=(a033+a048);
-  a048=(a064-a061);
-  a060=(a067?a060:0);
-  a063=(a071?a063:0);
-  a066=(a069?a066:0);
-  a070=(a070?a024:0);
-  a066=(a066+a070);
-  a066=(a072?a066:0);
-  a063=(a063+a066);
-  a063=(a073?a063:0);
-  a060=(a060+a063);
-  a063=casadi_sq(a060);
-  a067=(a067?a056:0);
-  a071=(a071?a065:0);
-  a069=(a069?a068:0);
-  a072=(a072?a069:0);
-  a071=(a071+a072);
-  a073=(a073?a071:0);
-  a067=(a067+a073);
-  a073=casadi_sq(a067);
-  a063=(a063+a073);
-  a063=sqrt(a063);
-  a073=(a130<a063);
-  a060=(a060/a063);
-  a060=(a073?a060:0);
-  a071=(!a073);
-  a071=(a071?a024:0);
-  a060=(a060+a071);
-  a060=(a048*a060);
-  a071=(a074?a060:0);
-  a072=(a081-a078);
-  a077=(a084?a077:0);
-  a080=(a088?a080:0);
-  a083=(a086?a083:0);
-  a087=(a087?a024:0);
-  a083=(a083+a087);
-  a083=(a089?a083:0);
-  a080=(a080+a083);
-  a080=(a090?a080:0);
-  a077=(a077+a080);
-  a080=casadi_sq(a077);
-  a084=(a084?a079:0);
-  a088=(a088?a082:0);
-  a086=(a086?a085:0);
-  a089=(a089?a086:0);
-  a088=(a088+a089);
-  a090=(a090?a088:0);
-  a084=(a084+a090);
-  a090=casadi_sq(a084);
-  a080=(a080+a090);
-  a080=sqrt(a080);
-  a090=(a130<a080);
-  a077=(a077/a080);
-  a077=(a090?a077:0);
-  a088=(!a090);
-  a088=(a088?a024:0);
-  a077=(a077+a088);
-  a077=(a072*a077);
-  a088=(a091?a077:0);
-  a071=(a071+a088);
-  a088=(a093-a096);
-  a095=(a099?a095:0);
-  a007=(a103?a007:0);
-  a098=(a101?a098:0);
-  a102=(a102?a024:0);
-  a098=(a098+a102);
-  a098=(a104?a098:0);
-  a007=(a007+a098);
-  a007=(a105?a007:0);
-  a095=(a095+a007);
-  a007=casadi_sq(a095);
-  a099=(a099?a057:0);
-  a103=(a103?a097:0);
-  a101=(a101?a100:0);
-  a104=(a104?a101:0);
-  a103=(a103+a104);
-  a105=(a105?a103:0);
-  a099=(a099+a105);
-  a105=casadi_sq(a099);
-  a007=(a007+a105);
-  a007=sqrt(a007);
-  a105=(a130<a007);
-  a095=(a095/a007);
-  a095=(a105?a095:0);
-  a103=(!a105);
-  a103=(a103?a024:0);
-  a095=(a095+a103);
-  a095=(a088*a095);
-  a103=(a106?a095:0);
-  a104=(a018-a109);
-  a001=(a026?a001:0);
-  a017=(a016?a017:0);
-  a025=(a031?a025:0);
-  a110=(a110?a024:0);
-  a025=(a025+a110);
-  a025=(a111?a025:0);
-  a017=(a017+a025);
-  a017=(a112?a017:0);
-  a001=(a001+a017);
-  a017=casadi_sq(a001);
-  a026=(a026?a011:0);
-  a016=(a016?a022:0);
-  a031=(a031?a029:0);
-  a111=(a111?a031:0);
-  a016=(a016+a111);
-  a112=(a112?a016:0);
-  a026=(a026+a112);
-  a112=casadi_sq(a026);
-  a017=(a017+a112);
-  a017=sqrt(a017);
-  a130=(a130<a017);
-  a001=(a001/a017);
-  a001=(a130?a001:0);
-  a112=(!a130);
-  a112=(a112?a024:0);
-  a001=(a001+a112);
-  a001=(a104*a001);
-  a112=(a113?a001:0);
-  a103=(a103+a112);
-  a071=(a071+a103);
-  a033=(a033+a071);
-  a112=arg[1]? arg[1][0] : 0;
-  a016=casadi_sq(a127);
-  a016=(a036?a016:0);
-  a016=(a036?a016:0);
-  a016=(a016/a015);
-  a111=casadi_sq(a034);
-  a111=(a051?a111:0);
-  a111=(a051?a111:0);
-  a111=(a111/a015);
-  a016=(a016+a111);
-  a111=casadi_sq(a048);
-  a111=(a074?a111:0);
-  a111=(a074?a111:0);
-  a111=(a111/a015);
-  a016=(a016+a111);
-  a111=casadi_sq(a072);
-  a111=(a091?a111:0);
-  a111=(a091?a111:0);
-  a111=(a111/a015);
-  a016=(a016+a111);
-  a111=casadi_sq(a088);
-  a111=(a106?a111:0);
-  a111=(a106?a111:0);
-  a111=(a111/a015);
-  a016=(a016+a111);
-  a111=casadi_sq(a104);
-  a111=(a113?a111:0);
-  a111=(a113?a111:0);
-  a111=(a111/a015);
-  a016=(a016+a111);
-  a112=(a112*a016);
-  a111=(a033*a125);
-  a028=(a028/a020);
-  a127=(a127*a028);
-  a028=(a036?a127:0);
-  a028=(a035?a028:0);
-  a044=(a044/a040);
-  a034=(a034*a044);
-  a044=(a051?a034:0);
-  a044=(a050?a044:0);
-  a028=(a028+a044);
-  a067=(a067/a063);
-  a048=(a048*a067);
-  a067=(a074?a048:0);
-  a067=(a073?a067:0);
-  a084=(a084/a080);
-  a072=(a072*a084);
-  a084=(a091?a072:0);
-  a084=(a090?a084:0);
-  a067=(a067+a084);
-  a099=(a099/a007);
-  a088=(a088*a099);
-  a099=(a106?a088:0);
-  a099=(a105?a099:0);
-  a026=(a026/a017);
-  a104=(a104*a026);
-  a026=(a113?a104:0);
-  a026=(a130?a026:0);
-  a099=(a099+a026);
-  a067=(a067+a099);
-  a028=(a028+a067);
-  a026=(a028*a129);
-  a111=(a111+a026);
-  a008=(a008*a127);
-  a008=(a036?a008:0);
-  a035=(a035?a008:0);
-  a013=(a013*a009);
-  a036=(a036?a013:0);
-  a035=(a035-a036);
-  a006=(a006*a034);
-  a006=(a051?a006:0);
-  a050=(a050?a006:0);
-  a003=(a003*a038);
-  a051=(a051?a003:0);
-  a050=(a050-a051);
-  a035=(a035+a050);
-  a059=(a059*a048);
-  a059=(a074?a059:0);
-  a073=(a073?a059:0);
-  a054=(a054*a060);
-  a074=(a074?a054:0);
-  a073=(a073-a074);
-  a072=(a076*a072);
-  a072=(a091?a072:0);
-  a090=(a090?a072:0);
-  a077=(a075*a077);
-  a091=(a091?a077:0);
-  a090=(a090-a091);
-  a073=(a073+a090);
-  a005=(a005*a088);
-  a005=(a106?a005:0);
-  a105=(a105?a005:0);
-  a052=(a052*a095);
-  a106=(a106?a052:0);
-  a105=(a105-a106);
-  a104=(a108*a104);
-  a104=(a113?a104:0);
-  a130=(a130?a104:0);
-  a001=(a058*a001);
-  a113=(a113?a001:0);
-  a130=(a130-a113);
-  a105=(a105+a130);
-  a073=(a073+a105);
-  a035=(a035+a073);
-  a130=(a002*a028);
-  a113=(a012*a033);
-  a130=(a130-a113);
-  a035=(a035-a130);
-  a126=(a126*a129);
-  a119=(a119*a125);
-  a126=(a126-a119);
-  a119=(a035*a126);
-  a111=(a111+a119);
-  a053=(a053*a067);
-  a062=(a062*a071);
-  a053=(a053-a062);
-  a073=(a073-a053);
-  a128=(a128*a129);
-  a123=(a123*a125);
-  a128=(a128-a123);
-  a123=(a073*a128);
-  a111=(a111+a123);
-  a076=(a076*a099);
-  a075=(a075*a103);
-  a076=(a076-a075);
-  a105=(a105-a076);
-  a094=(a094*a129);
-  a107=(a107*a125);
-  a094=(a094-a107);
-  a107=(a105*a094);
-  a111=(a111+a107);
-  a112=(a112+a111);
-  a111=casadi_sq(a033);
-  a107=casadi_sq(a028);
-  a111=(a111+a107);
-  a107=casadi_sq(a035);
-  a111=(a111+a107);
-  a107=casadi_sq(a073);
-  a111=(a111+a107);
-  a107=casadi_sq(a105);
-  a111=(a111+a107);
-  a107=arg[2]? arg[2][0] : 0;
-  a107=casadi_sq(a107);
-  a111=(a111+a107);
-  a112=(a112/a111);
-  a033=(a033*a112);
-  a125=(a125-a033);
-  a033=(a116*a125);
-  a033=(a002+a033);
-  a111=(a117*a033);
-  a117=(a024-a117);
-  a117=(a117*a002);
-  a111=(a111+a117);
-  a111=(a114*a111);
-  a117=(a024-a114);
-  a033=(a117*a033);
-  a111=(a111+a033);
-  if (res[0]!=0) res[0][0]=a111;
-  a033=arg[11]? arg[11][1] : 0;
-  a033=(a115*a033);
-  a107=(a024+a033);
-  a033=(a033/a107);
-  a028=(a028*a112);
-  a129=(a129-a028);
-  a028=(a116*a129);
-  a028=(a012+a028);
-  a107=(a033*a028);
-  a033=(a024-a033);
-  a033=(a033*a012);
-  a107=(a107+a033);
-  a107=(a114*a107);
-  a028=(a117*a028);
-  a107=(a107+a028);
-  if (res[0]!=0) res[0][1]=a107;
-  a028=arg[11]? arg[11][2] : 0;
-  a028=(a115*a028);
-  a033=(a024+a028);
-  a028=(a028/a033);
-  a035=(a035*a112);
-  a126=(a126-a035);
-  a035=(a116*a126);
-  a035=(a004+a035);
-  a033=(a028*a035);
-  a028=(a024-a028);
-  a028=(a028*a004);
-  a033=(a033+a028);
-  a033=(a114*a033);
-  a035=(a117*a035);
-  a033=(a033+a035);
-  if (res[0]!=0) res[0][2]=a033;
-  a035=arg[11]? arg[11][3] : 0;
-  a035=(a115*a035);
-  a028=(a024+a035);
-  a035=(a035/a028);
-  a073=(a073*a112);
-  a128=(a128-a073);
-  a073=(a116*a128);
-  a073=(a055+a073);
-  a028=(a035*a073);
-  a035=(a024-a035);
-  a035=(a035*a055);
-  a028=(a028+a035);
-  a028=(a114*a028);
-  a073=(a117*a073);
-  a028=(a028+a073);
-  if (res[0]!=0) res[0][3]=a028;
-  a073=arg[11]? arg[11][4] : 0;
-  a115=(a115*a073);
-  a073=(a024+a115);
-  a115=(a115/a073);
-  a105=(a105*a112);
-  a094=(a094-a105);
-  a105=(a116*a094);
-  a105=(a092+a105);
-  a112=(a115*a105);
-  a024=(a024-a115);
-  a024=(a024*a092);
-  a112=(a112+a024);
-  a112=(a114*a112);
-  a117=(a117*a105);
-  a112=(a112+a117);
-  if (res[0]!=0) res[0][4]=a112;
-  a111=(a111-a002);
-  a111=(a111/a116);
-  if (res[1]!=0) res[1][0]=a111;
-  a107=(a107-a012);
-  a107=(a107/a116);
-  if (res[1]!=0) res[1][1]=a107;
-  a033=(a033-a004);
-  a033=(a033/a116);
-  if (res[1]!=0) res[1][2]=a033;
-  a028=(a028-a055);
-  a028=(a028/a116);
-  if (res[1]!=0) res[1][3]=a028;
-  a112=(a112-a092);
-  a112=(a112/a116);
-  if (res[1]!=0) res[1][4]=a112;
-  if (res[2]!=0) res[2][0]=a125;
-  if (res[2]!=0) res[2][1]=a129;
-  if (res[2]!=0) res[2][2]=a126;
-  if (res[2]!=0) res[2][3]=a128;
-  if (res[2]!=0) res[2][4]=a094;
-  if (res[3]!=0) res[3][0]=a016;
-  if (res[4]!=0) res[4][0]=a108;
-  if (res[4]!=0) res[4][1]=a058;
-  if (res[5]!=0) res[5][0]=a120;
-  if (res[5]!=0) res[5][1]=a122;
-  if (res[6]!=0) res[6][0]=a114;
-  if (res[7]!=0) res[7][0]=a000;
-  if (res[8]!=0) res[8][0]=a010;
-  if (res[8]!=0) res[8][1]=a039;
-  if (res[8]!=0) res[8][2]=a061;
-  if (res[8]!=0) res[8][3]=a078;
-  if (res[8]!=0) res[8][4]=a096;
-  if (res[8]!=0) res[8][5]=a109;
-  a010=(a010-a021);
-  a039=(a039-a041);
-  a010=casadi_fmin(a010,a039);
-  a061=(a061-a064);
-  a010=casadi_fmin(a010,a061);
-  a078=(a078-a081);
-  a010=casadi_fmin(a010,a078);
-  a096=(a096-a093);
-  a010=casadi_fmin(a010,a096);
-  a109=(a109-a018);
-  a010=casadi_fmin(a010,a109);
-  if (res[9]!=0) res[9][0]=a010;
-  return 0;
-}
-
-CASADI_SYMBOL_EXPORT int planar5_step(const casadi_real** arg, casadi_real** res, casadi_int* iw, casadi_real* w, int mem){
-  return casadi_f2(arg, res, iw, w, mem);
-}
-
-CASADI_SYMBOL_EXPORT int planar5_step_checkout(void) {
-  return 0;
-}
-
-CASADI_SYMBOL_EXPORT void planar5_step_release(int mem) {
-}
-
-CASADI_SYMBOL_EXPORT void planar5_step_incref(void) {
-}
-
-CASADI_SYMBOL_EXPORT void planar5_step_decref(void) {
-}
-
-CASADI_SYMBOL_EXPORT casadi_int planar5_step_n_in(void) { return 15;}
-
-CASADI_SYMBOL_EXPORT casadi_int planar5_step_n_out(void) { return 10;}
-
-CASADI_SYMBOL_EXPORT casadi_real planar5_step_default_in(casadi_int i) {
-  switch (i) {
-    default: return 0;
-  }
-}
-
-CASADI_SYMBOL_EXPORT const char* planar5_step_name_in(casadi_int i) {
-  switch (i) {
-    case 0: return "q";
-    case 1: return "obstacles_gain";
-    case 2: return "obstacles_damping";
-    case 3: return "tool_reference";
-    case 4: return "tool_reference_velocity";
-    case 5: return "tool_gain";
-    case 6: return "tool_damping";
-    case 7: return "obstacle_center";
-    case 8: return "obstacle_radius";
-    case 9: return "obstacle_count";
-    case 10: return "influence_radius";
-    case 11: return "filter_cutoff";
-    case 12: return "lam_free";
-    case 13: return "lam_event";
-    case 14: return "period";
-    default: return 0;
-  }
-}
-
-CASADI_SYMBOL_EXPORT const char* planar5_step_name_out(casadi_int i) {
-  switch (i) {
-    case 0: return "q_next";
-    case 1: return "dq";
-    case 2: return "dq_law";
-    case 3: return "obstacles_potential";
-    case 4: return "tool_position";
-    case 5: return "tool_error";
-    case 6: return "lam";
-    case 7: return "active";
-    case 8: return "distance";
-    case 9: return "clearance";
-    default: return 0;
-  }
-}
-
-CASADI_SYMBOL_EXPORT const casadi_int* planar5_step_sparsity_in(casadi_int i) {
-  switch (i) {
-    case 0: return casadi_s0;
-    case 1: return casadi_s6;
-    case 2: return casadi_s6;
-    case 3: return casadi_s1;
-    case 4: return casadi_s1;
-    case 5: return casadi_s8;
-    case 6: return casadi_s6;
-    case 7: return casadi_s4;
-    case 8: return casadi_s5;
-    case 9: return casadi_s6;
-    case 10: return casadi_s4;
-    case 11: return casadi_s0;
-    case 12: return casadi_s6;
-    case 13: return casadi_s6;
-    case 14: return casadi_s6;
-    default: return 0;
-  }
-}
-
-CASADI_SYMBOL_EXPORT const casadi_int* planar5_step_sparsity_out(casadi_int i) {
-  switch (i) {
-    case 0: return casadi_s0;
-    case 1: return casadi_s0;
-    case 2: return casadi_s0;
-    case 3: return casadi_s6;
-    case 4: return casadi_s1;
-    case 5: return casadi_s1;
-    case 6: return casadi_s6;
-    case 7: return casadi_s6;
-    case 8: return casadi_s4;
-    case 9: return casadi_s6;
-    default: return 0;
-  }
-}
-
-CASADI_SYMBOL_EXPORT int planar5_step_work(casadi_int *sz_arg, casadi_int* sz_res, casadi_int *sz_iw, casadi_int *sz_w) {
-  if (sz_arg) *sz_arg = 15;
-  if (sz_res) *sz_res = 10;
-  if (sz_iw) *sz_iw = 0;
-  if (sz_w) *sz_w = 0;
-  return 0;
-}
-
-CASADI_SYMBOL_EXPORT int planar5_step_work_bytes(casadi_int *sz_arg, casadi_int* sz_res, casadi_int *sz_iw, casadi_int *sz_w) {
-  if (sz_arg) *sz_arg = 15*sizeof(const casadi_real*);
-  if (sz_res) *sz_res = 10*sizeof(casadi_real*);
-  if (sz_iw) *sz_iw = 0*sizeof(casadi_int);
-  if (sz_w) *sz_w = 0*sizeof(casadi_real);
+  const double t156 = sense102_1[0] < 2000000.0 ? sense102_1[0] : 2000000.0;
+  const double t157 = sense102_1[1] < t156 ? sense102_1[1] : t156;
+  const double t158 = sense102_1[2] < t157 ? sense102_1[2] : t157;
+  const double t159 = sense102_1[3] < t158 ? sense102_1[3] : t158;
+  const double t160 = sense102_1[4] < t159 ? sense102_1[4] : t159;
+  const double t161 = sense102_1[5] < t160 ? sense102_1[5] : t160;
+  const double t162 = t161 <= 0.0 ? lam_event[0] : lam_free[0];
+  const double t163 = period[0] * 6.283185307179586;
+  const double t164 = t163 * filter_cutoff[0];
+  const double t165 = tool_reference[0] - t116;
+  const double t166 = tool_reference[1] - t118;
+  const double t167 = tool_gain[1] * t166 + (tool_reference_velocity[0] + tool_gain[0] * t165);
+  const double t168 = t118 - q[1];
+  const double t169 = t118 - t109;
+  const double t170 = tool_damping[0] * tool_damping[0];
+  const double t171 = 1.0 + t170;
+  const double t172 = t169 * t169 + (t168 * t168 + (t117 * t117 + t171));
+  const double t173 = 1.0 / t172;
+  const double t174 = t116 - q[0];
+  const double t175 = t116 - t107;
+  const double t176 = t173 * (t169 * t175 + (t168 * t174 + t115 * t117));
+  const double t177 = t175 * t175 + (t174 * t174 + (t171 + t115 * t115));
+  const double t178 = t177 - t172 * (t176 * t176);
+  const double t179 = t170 + 1.4210854715202004e-14 * (t172 + t177);
+  const double t180 = (t167 * t176 + (t166 * tool_gain[3] + (tool_reference_velocity[1] + t165 * tool_gain[2]))) / (t178 > t179 ? t178 : t179);
+  const double t181 = t167 * t173 + t176 * t180;
+  const double t182 = sense102_2[4] + sense102_2[5];
+  const double t183 = t182 + (sense102_2[2] + sense102_2[3]);
+  const double t184 = t183 + (sense102_2[0] + sense102_2[1]);
+  const double t185 = -sense102_1[0];
+  const double t186 = t185 > 0.0 ? t185 : 0.0;
+  const double t187 = -sense102_1[1];
+  const double t188 = t187 > 0.0 ? t187 : 0.0;
+  const double t189 = -sense102_1[2];
+  const double t190 = t189 > 0.0 ? t189 : 0.0;
+  const double t191 = -sense102_1[3];
+  const double t192 = t191 > 0.0 ? t191 : 0.0;
+  const double t193 = -sense102_1[4];
+  const double t194 = t193 > 0.0 ? t193 : 0.0;
+  const double t195 = -sense102_1[5];
+  const double t196 = t195 > 0.0 ? t195 : 0.0;
+  const double t197 = (t194 * t194 + t196 * t196 + (t186 * t186 + t188 * t188 + (t190 * t190 + t192 * t192))) * (1.0 / 2.0);
+  const double t198 = sense102_2[10] + sense102_2[11];
+  const double t199 = t198 + (sense102_2[8] + sense102_2[9]);
+  const double t200 = t199 + (sense102_2[6] + sense102_2[7]);
+  const double t201 = sense102_3[4] + sense102_3[5];
+  const double t202 = t201 + (sense102_3[2] + sense102_3[3]);
+  const double t203 = q[1] * t184 + (t202 + (sense102_3[0] + sense102_3[1]) - q[0] * t200);
+  const double t204 = t174 * t180 - t168 * t181;
+  const double t205 = t109 * t183 + (t202 - t107 * t199);
+  const double t206 = t175 * t180 - t169 * t181;
+  const double t207 = t112 * t182 + (t201 - t111 * t198);
+  const double t208 = t115 * t180 - t117 * t181;
+  const double t209 = t203 * t204 + (t181 * t184 + (obstacles_gain[0] * t197 + t180 * t200)) + (t205 * t206 + t207 * t208);
+  const double t210 = t203 * t203 + (t200 * t200 + (t184 * t184 + obstacles_damping[0] * obstacles_damping[0]));
+  const double t211 = t209 * (1.0 / (t207 * t207 + (t205 * t205 + t210)));
+  const double t212 = t181 - t184 * t211;
+  const double t213 = (1.0 - t162 * (1.0 - t164 / (1.0 + t164))) * t212;
+  q_next[0] = q[0] + period[0] * t213;
+  const double t214 = t163 * filter_cutoff[1];
+  const double t215 = t180 - t200 * t211;
+  const double t216 = (1.0 - t162 * (1.0 - t214 / (1.0 + t214))) * t215;
+  q_next[1] = q[1] + period[0] * t216;
+  const double t217 = t163 * filter_cutoff[2];
+  const double t218 = t204 - t203 * t211;
+  const double t219 = (1.0 - t162 * (1.0 - t217 / (1.0 + t217))) * t218;
+  q_next[2] = q[2] + period[0] * t219;
+  const double t220 = t163 * filter_cutoff[3];
+  const double t221 = t206 - t205 * t211;
+  const double t222 = (1.0 - t162 * (1.0 - t220 / (1.0 + t220))) * t221;
+  q_next[3] = q[3] + period[0] * t222;
+  const double t223 = t163 * filter_cutoff[4];
+  const double t224 = t208 - t207 * t211;
+  const double t225 = (1.0 - t162 * (1.0 - t223 / (1.0 + t223))) * t224;
+  q_next[4] = q[4] + period[0] * t225;
+  dq[0] = t213;
+  dq[1] = t216;
+  dq[2] = t219;
+  dq[3] = t222;
+  dq[4] = t225;
+  dq_law[0] = t212;
+  dq_law[1] = t215;
+  dq_law[2] = t218;
+  dq_law[3] = t221;
+  dq_law[4] = t224;
+  obstacles_potential[0] = t197;
+  tool_position[0] = t116;
+  tool_position[1] = t118;
+  tool_error[0] = t165;
+  tool_error[1] = t166;
+  lam[0] = t162;
+  active[0] = t161 <= 0.0 ? 1.0 : 0.0;
+  distance[0] = sense102_0[0];
+  distance[1] = sense102_0[1];
+  distance[2] = sense102_0[2];
+  distance[3] = sense102_0[3];
+  distance[4] = sense102_0[4];
+  distance[5] = sense102_0[5];
+  clearance[0] = t161;
+  (void)iw, (void)w, (void)mem;
   return 0;
 }
 

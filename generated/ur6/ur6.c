@@ -2,9693 +2,1330 @@
  *
  * six-axis arm: the tool follows a path and looks at a target, inside the walls of its cell
  *
- *   ur6_kinematics: 271 instructions
- *   ur6_jacobians: 522 instructions
- *   ur6_step: 169570 instructions
- * Arguments, shapes and units: ur6.h. No allocation, no global state; libm only.
+ *   ur6_kinematics: 159 operations at most
+ *   ur6_jacobians: 419 operations at most
+ *   ur6_step: 71003 operations at most
+ * Arguments, shapes and units: ur6.h. No allocation, no global state; of libm sqrt only.
  * Do not compile with -ffast-math or -Ofast: they change results and drop the guards against NaN.
  */
 
 #include "ur6.h"
 
-/* How to prefix internal symbols */
-#ifdef CASADI_CODEGEN_PREFIX
-  #define CASADI_NAMESPACE_CONCAT(NS, ID) _CASADI_NAMESPACE_CONCAT(NS, ID)
-  #define _CASADI_NAMESPACE_CONCAT(NS, ID) NS ## ID
-  #define CASADI_PREFIX(ID) CASADI_NAMESPACE_CONCAT(CODEGEN_PREFIX, ID)
-#else
-  #define CASADI_PREFIX(ID) ur6_ ## ID
-#endif
-
 #include <math.h>
 
-#ifndef casadi_real
-#define casadi_real double
-#endif
-
-#ifndef casadi_int
-#define casadi_int long long int
-#endif
-
-/* Add prefix to internal symbols */
-#define casadi_clear CASADI_PREFIX(clear)
-#define casadi_copy CASADI_PREFIX(copy)
-#define casadi_f0 CASADI_PREFIX(f0)
-#define casadi_f1 CASADI_PREFIX(f1)
-#define casadi_f10 CASADI_PREFIX(f10)
-#define casadi_f11 CASADI_PREFIX(f11)
-#define casadi_f12 CASADI_PREFIX(f12)
-#define casadi_f13 CASADI_PREFIX(f13)
-#define casadi_f14 CASADI_PREFIX(f14)
-#define casadi_f15 CASADI_PREFIX(f15)
-#define casadi_f16 CASADI_PREFIX(f16)
-#define casadi_f17 CASADI_PREFIX(f17)
-#define casadi_f18 CASADI_PREFIX(f18)
-#define casadi_f19 CASADI_PREFIX(f19)
-#define casadi_f2 CASADI_PREFIX(f2)
-#define casadi_f20 CASADI_PREFIX(f20)
-#define casadi_f21 CASADI_PREFIX(f21)
-#define casadi_f22 CASADI_PREFIX(f22)
-#define casadi_f23 CASADI_PREFIX(f23)
-#define casadi_f24 CASADI_PREFIX(f24)
-#define casadi_f25 CASADI_PREFIX(f25)
-#define casadi_f26 CASADI_PREFIX(f26)
-#define casadi_f27 CASADI_PREFIX(f27)
-#define casadi_f28 CASADI_PREFIX(f28)
-#define casadi_f29 CASADI_PREFIX(f29)
-#define casadi_f3 CASADI_PREFIX(f3)
-#define casadi_f30 CASADI_PREFIX(f30)
-#define casadi_f31 CASADI_PREFIX(f31)
-#define casadi_f32 CASADI_PREFIX(f32)
-#define casadi_f33 CASADI_PREFIX(f33)
-#define casadi_f34 CASADI_PREFIX(f34)
-#define casadi_f35 CASADI_PREFIX(f35)
-#define casadi_f36 CASADI_PREFIX(f36)
-#define casadi_f37 CASADI_PREFIX(f37)
-#define casadi_f38 CASADI_PREFIX(f38)
-#define casadi_f39 CASADI_PREFIX(f39)
-#define casadi_f4 CASADI_PREFIX(f4)
-#define casadi_f40 CASADI_PREFIX(f40)
-#define casadi_f41 CASADI_PREFIX(f41)
-#define casadi_f5 CASADI_PREFIX(f5)
-#define casadi_f6 CASADI_PREFIX(f6)
-#define casadi_f7 CASADI_PREFIX(f7)
-#define casadi_f8 CASADI_PREFIX(f8)
-#define casadi_f9 CASADI_PREFIX(f9)
-#define casadi_fabs CASADI_PREFIX(fabs)
-#define casadi_fmax CASADI_PREFIX(fmax)
-#define casadi_fmin CASADI_PREFIX(fmin)
-#define casadi_s0 CASADI_PREFIX(s0)
-#define casadi_s1 CASADI_PREFIX(s1)
-#define casadi_s2 CASADI_PREFIX(s2)
-#define casadi_s3 CASADI_PREFIX(s3)
-#define casadi_s4 CASADI_PREFIX(s4)
-#define casadi_s5 CASADI_PREFIX(s5)
-#define casadi_s6 CASADI_PREFIX(s6)
-#define casadi_s7 CASADI_PREFIX(s7)
-#define casadi_s8 CASADI_PREFIX(s8)
-#define casadi_s9 CASADI_PREFIX(s9)
-#define casadi_sq CASADI_PREFIX(sq)
-#define casadi_zeros CASADI_PREFIX(zeros)
-
-/* Symbol visibility in DLLs */
-#ifndef CASADI_SYMBOL_EXPORT
-  #if defined(_WIN32) || defined(__WIN32__) || defined(__CYGWIN__)
-    #if defined(STATIC_LINKED)
-      #define CASADI_SYMBOL_EXPORT
-    #else
-      #define CASADI_SYMBOL_EXPORT __declspec(dllexport)
-    #endif
-  #elif defined(__GNUC__) && defined(GCC_HASCLASSVISIBILITY)
-    #define CASADI_SYMBOL_EXPORT __attribute__ ((visibility ("default")))
-  #else
-    #define CASADI_SYMBOL_EXPORT
-  #endif
-#endif
-
-static casadi_real casadi_sq(casadi_real x) { return x*x;}
-
-static casadi_real casadi_fmax(casadi_real x, casadi_real y) { return x > y ? x : y; }
-
-static casadi_real casadi_fabs(casadi_real x) {
-/* Pre-c99 compatibility */
-#if __STDC_VERSION__ < 199901L
-  return x>0 ? x : -x;
+/* Loops that may run side by side do, given -DCLIKGEN_OPENMP -fopenmp-simd. */
+#ifdef CLIKGEN_OPENMP
+#define CLIKGEN_SIMD _Pragma("omp simd")
 #else
-  return fabs(x);
+#define CLIKGEN_SIMD
 #endif
+
+/* These functions stand on rounding as C99 has it and on NaN; flags that give either up are refused where they show.
+ * gcc's all do. Of clang's, -funsafe-math-optimizations and -fassociative-math do not, hence the pragma. */
+#if defined __FAST_MATH__ || defined __ASSOCIATIVE_MATH__ || (defined __FINITE_MATH_ONLY__ && __FINITE_MATH_ONLY__)
+#error "clikgen: compile without -ffast-math, -Ofast, -funsafe-math-optimizations and -ffinite-math-only"
+#endif
+#if defined __clang__ && __clang_major__ >= 11
+#pragma clang fp reassociate(off)
+#endif
+
+#include <stdint.h>
+
+static inline uint64_t clikgen_bits(double x) {
+  union { double real; uint64_t bits; } both;
+  both.real = x;
+  return both.bits;
 }
 
-void casadi_copy(const casadi_real* x, casadi_int n, casadi_real* y) {
-  casadi_int i;
-  if (y) {
-    if (x) {
-      for (i=0; i<n; ++i) *y++ = *x++;
+static inline double clikgen_real(uint64_t x) {
+  union { uint64_t bits; double real; } both;
+  both.bits = x;
+  return both.real;
+}
+
+/* Sine and cosine of x [rad] to 1.8e-16 for |x| <= 1e6; NaN from 2^30 on. */
+static inline void clikgen_sincos(double x, double *sine, double *cosine) {
+  const double shift = 6755399441055744.0; /* 1.5 * 2^52: a sum with it is a whole number */
+  const double turns = x * 0.6366197723675814 + shift;
+  const double n = turns - shift; /* quarter turns */
+  const double fence = x * 0x1p+994 * 0.0; /* infinity times 0, NaN, from 2^30 on; else 0 */
+  /* pi/2 in two parts: the first has 31 bits, so that n times it is exact. */
+  const double r = (x - n * 0x1.921fb544p+0) - (n * 0x1.0b4611a626331p-34 + fence); /* |r| <= pi/4 */
+  const double z = r * r, z2 = z * z, z4 = z2 * z2;
+  const double p = ((-0.166666666666666 + z * 0.008333333333316218) +
+                    z2 * (-0.00019841269825742733 + z * 2.755731248237617e-06)) +
+                   z4 * (-2.505059086768978e-08 + z * 1.5888058090339975e-10);
+  const double q = ((0.0416666666666666 + z * -0.0013888888888874474) +
+                    z2 * (2.480158728967154e-05 + z * -2.755731440103197e-07)) +
+                   z4 * (2.0875729281370876e-09 + z * -1.1359934243820215e-11);
+  const uint64_t s = clikgen_bits(r + (r * z) * p); /* sin r */
+  const uint64_t c = clikgen_bits((1.0 - 0.5 * z) + z2 * q); /* cos r */
+  const uint64_t quadrant = clikgen_bits(turns); /* in its last two bits */
+  const uint64_t swap = (s ^ c) & (0 - (quadrant & 1));
+  const uint64_t sign = UINT64_C(1) << 63;
+  *sine = clikgen_real(s ^ swap ^ ((quadrant << 62) & sign));
+  *cosine = clikgen_real(c ^ swap ^ (((quadrant + 1) << 62) & sign));
+}
+
+enum { QP_N = 6, QP_ROWS = 6, QP_BOUNDS = 6, QP_ALL = 12, QP_HELD = 9, QP_STEPS = 70 };
+
+/* min 1/2 (u - u0)' M^-1 (u - u0) such that A u <= b and lower <= u <= upper */
+typedef struct {
+  double u0[QP_N], A[QP_ROWS + 1][QP_N], b[QP_ROWS + 1], lower[QP_BOUNDS + 1], upper[QP_BOUNDS + 1];
+  double M[QP_N][QP_N];
+} qp_program;
+
+/* u, by how much each row and bound is violated, how many steps it took, and whether it was solved */
+typedef struct {
+  double u[QP_N], slack[QP_ALL + 1], steps, solved;
+} qp_solution;
+
+/* By how much u violates row i, or the bounds of variable i - QP_ROWS; negative where it does not. */
+static double qp_violation(const qp_program *p, const double *u, int i) {
+  if (i < QP_ROWS) {
+    double sum = 0.0;
+    for (int j = 0; j < QP_N; ++j) sum += p->A[i][j] * u[j];
+    return sum - p->b[i];
+  }
+  const double above = u[i - QP_ROWS] - p->upper[i - QP_ROWS], below = p->lower[i - QP_ROWS] - u[i - QP_ROWS];
+  return above > below ? above : below;
+}
+
+/* The free row that u violates most, -1 for none. */
+static int qp_most_violated(const qp_program *p, const double *u, const char *held) {
+  double worst = 1e-12;
+  int row = -1;
+  for (int i = 0; i < QP_ALL; ++i) {
+    const double violation = qp_violation(p, u, i);
+    if (!held[i] && violation > worst) worst = violation, row = i;
+  }
+  return row;
+}
+
+static void qp_within_bounds(const qp_program *p, double *u) {
+  for (int j = 0; j < QP_BOUNDS; ++j) {
+    const double most = u[j] < p->upper[j] ? u[j] : p->upper[j];
+    u[j] = most > p->lower[j] ? most : p->lower[j];
+  }
+}
+
+/* The largest share of u that keeps the rows which u = 0 keeps. */
+static double qp_share_kept(const qp_program *p, const double *u) {
+  double share = 1.0;
+  for (int i = 0; i < QP_ROWS; ++i) {
+    const double along = qp_violation(p, u, i) + p->b[i], most = p->b[i] + 1e-09;
+    if (p->b[i] >= 0.0 && along > most && most < share * along) share = most / along;
+  }
+  return share;
+}
+
+/* Goldfarb and Idnani's dual method from the row that u0 violates most, on Z = [[H, N'], [N, -K]]: with the rows
+ * held a, K = (a M a' + delta)^-1, N = K a M, H = M - M a' N. A row taken in or let go of is one symmetric update of
+ * rank one. Rows give way by delta times their multiplier y. */
+static void qp_solve(const qp_program *p, int row, qp_solution *out) {
+  enum { SIZE = QP_N + QP_HELD };
+  double Z[SIZE][SIZE], y[QP_HELD], delta[QP_HELD], u[QP_N], a[QP_N], image[SIZE], vector[SIZE], turned[QP_N];
+  int slot_row[QP_HELD], top = 0, steps = 0;
+  char held[QP_ALL + 1] = {0};
+  double multiplier = 0.0;
+  for (int i = 0; i < QP_N; ++i) {
+    u[i] = turned[i] = p->u0[i];
+    for (int j = 0; j < QP_N; ++j) Z[i][j] = p->M[i][j];
+  }
+  do {
+    /* the row and its limit, seen from the side on which it is violated: in `turned`, where the last step led */
+    double limit, give = 1e-11;
+    if (row < QP_ROWS) {
+      for (int j = 0; j < QP_N; ++j) a[j] = p->A[row][j];
+      limit = p->b[row];
     } else {
-      for (i=0; i<n; ++i) *y++ = 0.;
+      const int k = row - QP_ROWS;
+      const int upper = turned[k] - p->upper[k] >= p->lower[k] - turned[k];
+      for (int j = 0; j < QP_N; ++j) a[j] = 0.0;
+      a[k] = upper ? 1.0 : -1.0;
+      limit = upper ? p->upper[k] : -p->lower[k];
+      give *= 0.1;
     }
+    const int size = QP_N + top;
+    for (int i = 0; i < size; ++i) {
+      image[i] = 0.0;
+      for (int j = 0; j < QP_N; ++j) image[i] += Z[i][j] * a[j];
+    }
+    double pivot = give, gap = -limit - give * multiplier, ratio = 1e+300;
+    for (int j = 0; j < QP_N; ++j) pivot += a[j] * image[j], gap += a[j] * u[j];
+    const double full = gap / pivot;
+    int leaving = -1, empty = -1;
+    for (int j = 0; j < top; ++j) {
+      if (slot_row[j] < 0) {
+        if (empty < 0) empty = j;
+      } else if (image[QP_N + j] > 0.0 && y[j] < ratio * image[QP_N + j]) {
+        ratio = y[j] / image[QP_N + j];
+        leaving = j;
+      }
+    }
+    const int drop = leaving >= 0 && ratio < full;
+    if (!drop && empty < 0) {
+      if (top == QP_HELD) { /* no slot is left: take what there is */
+        ++steps;
+        row = -2;
+        break;
+      }
+      empty = top++;
+      for (int i = 0; i < QP_N + top; ++i) Z[i][QP_N + empty] = Z[QP_N + empty][i] = 0.0;
+      image[QP_N + empty] = y[empty] = 0.0;
+    }
+    const double length = drop ? ratio : full;
+    const int now = QP_N + top, slot = drop ? leaving : empty;
+    for (int j = 0; j < QP_N; ++j) u[j] -= length * image[j];
+    for (int j = 0; j < top; ++j) y[j] -= length * image[QP_N + j];
+    multiplier += length;
+    for (int i = 0; i < now; ++i) vector[i] = drop ? Z[i][QP_N + slot] : image[i];
+    if (drop) {
+      pivot = Z[QP_N + slot][QP_N + slot];
+    } else {
+      vector[QP_N + slot] -= 1.0;
+    }
+    for (int i = 0; i < now; ++i) {
+      const double scaled = vector[i] / pivot;
+      for (int j = 0; j < now; ++j) Z[i][j] -= scaled * vector[j];
+    }
+    if (drop) { /* what it leaves is rounding noise */
+      for (int i = 0; i < now; ++i) Z[i][QP_N + slot] = Z[QP_N + slot][i] = 0.0;
+      held[slot_row[slot]] = 0;
+      slot_row[slot] = -1;
+      y[slot] = delta[slot] = 0.0;
+    } else {
+      held[row] = 1;
+      slot_row[slot] = row;
+      y[slot] = multiplier;
+      delta[slot] = give;
+      for (int j = 0; j < QP_N; ++j) { /* without the bias of the slack, or rows parallel to those held come in, too */
+        turned[j] = u[j];
+        for (int k = 0; k < top; ++k) turned[j] -= Z[QP_N + k][j] * (delta[k] * y[k]);
+      }
+      row = qp_most_violated(p, turned, held);
+      multiplier = 0.0;
+    }
+    ++steps;
+  } while (row >= 0 && steps < QP_STEPS);
+  double residual[QP_HELD];
+  for (int k = 0; k < top; ++k) residual[k] = delta[k] * y[k];
+  for (int round = 0; round < 2; ++round) {
+    double next[QP_HELD];
+    for (int j = 0; j < QP_N; ++j)
+      for (int k = 0; k < top; ++k) u[j] -= Z[QP_N + k][j] * residual[k];
+    for (int i = 0; i < top; ++i) {
+      next[i] = 0.0;
+      for (int k = 0; k < top; ++k) next[i] -= Z[QP_N + i][QP_N + k] * residual[k];
+      next[i] *= delta[i];
+    }
+    for (int i = 0; i < top; ++i) residual[i] = next[i];
   }
-}
-
-void casadi_clear(casadi_real* x, casadi_int n) {
-  casadi_int i;
-  if (x) {
-    for (i=0; i<n; ++i) *x++ = 0;
+  qp_within_bounds(p, u);
+  if (row != -1) {
+    const double share = qp_share_kept(p, u);
+    for (int j = 0; j < QP_N; ++j) u[j] *= share;
+    qp_within_bounds(p, u); /* which need not hold u = 0 */
   }
-}
-
-static casadi_real casadi_fmin(casadi_real x, casadi_real y) { return x < y ? x : y; }
-
-#define casadi_to_int(x) ((casadi_int) x)
-
-/* Configuration this file was compiled with */
-CASADI_SYMBOL_EXPORT void ur6_casadi_version(int* major, int* minor, int* patch) {
-  *major = 3;
-  *minor = 8;
-  *patch = 2;
-}
-CASADI_SYMBOL_EXPORT int ur6_casadi_int_size(void) { return (int) sizeof(casadi_int); }
-CASADI_SYMBOL_EXPORT int ur6_casadi_real_size(void) { return (int) sizeof(casadi_real); }
-
-static const casadi_int casadi_s0[3] = {6, 1, 1};
-static const casadi_int casadi_s1[3] = {3, 1, 1};
-static const casadi_int casadi_s2[3] = {2, 1, 1};
-static const casadi_int casadi_s3[3] = {9, 1, 1};
-static const casadi_int casadi_s4[3] = {84, 1, 1};
-static const casadi_int casadi_s5[3] = {18, 1, 1};
-static const casadi_int casadi_s6[3] = {12, 1, 1};
-static const casadi_int casadi_s7[3] = {54, 1, 1};
-static const casadi_int casadi_s8[3] = {1, 1, 1};
-static const casadi_int casadi_s9[3] = {4, 1, 1};
-
-static const casadi_real casadi_zeros[120] = 
-  {0.};
-
-/* ur6_kinematics:(q[6],camera_reference[3])->(tool_position[3],camera_value[2],point_position[9],link_pose[84]) */
-static int casadi_f0(const casadi_real** arg, casadi_real** res, casadi_int* iw, casadi_real* w, int mem) {
-  casadi_real a00, a01, a02, a03, a04, a05, a06, a07, a08, a09, a10, a11;
-  casadi_real a12, a13, a14, a15, a16, a17, a18, a19, a20, a21, a22, a23;
-  casadi_real a24, a25, a26, a27, a28, a29, a30, a31, a32, a33, a34, a35;
-  casadi_real a36, a37, a38, a39, a40, a41, a42, a43, a44, a45, a46, a47;
-  casadi_real a48, a49, a50, a51, a52;
-  a00=-4.2499999999999999e-01;
-  a01=arg[0]? arg[0][0] : 0;
-  a02=cos(a01);
-  a03=arg[0]? arg[0][1] : 0;
-  a04=cos(a03);
-  a05=(a02*a04);
-  a06=(a00*a05);
-  a07=-3.9219999999999999e-01;
-  a08=arg[0]? arg[0][2] : 0;
-  a09=cos(a08);
-  a10=(a05*a09);
-  a03=sin(a03);
-  a11=(a02*a03);
-  a08=sin(a08);
-  a12=(a11*a08);
-  a10=(a10-a12);
-  a12=(a07*a10);
-  a13=1.3330000000000000e-01;
-  a01=sin(a01);
-  a14=(a13*a01);
-  a12=(a12+a14);
-  a12=(a06+a12);
-  a14=-9.9699999999999997e-02;
-  a15=arg[0]? arg[0][3] : 0;
-  a16=sin(a15);
-  a17=(a10*a16);
-  a18=(a05*a08);
-  a19=(a11*a09);
-  a18=(a18+a19);
-  a15=cos(a15);
-  a19=(a18*a15);
-  a17=(a17+a19);
-  a19=(a14*a17);
-  a19=(a12-a19);
-  a20=9.9599999999999994e-02;
-  a21=arg[0]? arg[0][4] : 0;
-  a22=cos(a21);
-  a23=(a01*a22);
-  a24=(a10*a15);
-  a25=(a18*a16);
-  a24=(a24-a25);
-  a21=sin(a21);
-  a25=(a24*a21);
-  a23=(a23-a25);
-  a25=(a20*a23);
-  a25=(a19+a25);
-  if (res[0]!=0) res[0][0]=a25;
-  a26=(a01*a04);
-  a27=(a00*a26);
-  a28=(a26*a09);
-  a29=(a01*a03);
-  a30=(a29*a08);
-  a28=(a28-a30);
-  a30=(a07*a28);
-  a13=(a13*a02);
-  a30=(a30-a13);
-  a30=(a27+a30);
-  a13=(a28*a16);
-  a31=(a26*a08);
-  a32=(a29*a09);
-  a31=(a31+a32);
-  a32=(a31*a15);
-  a13=(a13+a32);
-  a32=(a14*a13);
-  a32=(a30-a32);
-  a33=(a28*a15);
-  a34=(a31*a16);
-  a33=(a33-a34);
-  a34=(a33*a21);
-  a35=(a02*a22);
-  a34=(a34+a35);
-  a35=(a20*a34);
-  a35=(a32-a35);
-  if (res[0]!=0) res[0][1]=a35;
-  a36=1.6250000000000001e-01;
-  a00=(a00*a03);
-  a00=(a36+a00);
-  a37=(a03*a09);
-  a38=(a04*a08);
-  a37=(a37+a38);
-  a07=(a07*a37);
-  a07=(a00+a07);
-  a09=(a04*a09);
-  a08=(a03*a08);
-  a09=(a09-a08);
-  a08=(a09*a15);
-  a38=(a37*a16);
-  a08=(a08-a38);
-  a14=(a14*a08);
-  a14=(a07+a14);
-  a15=(a37*a15);
-  a16=(a09*a16);
-  a15=(a15+a16);
-  a16=(a15*a21);
-  a20=(a20*a16);
-  a20=(a14-a20);
-  if (res[0]!=0) res[0][2]=a20;
-  a38=(a24*a22);
-  a39=(a01*a21);
-  a38=(a38+a39);
-  a39=arg[0]? arg[0][5] : 0;
-  a40=cos(a39);
-  a41=(a38*a40);
-  a39=sin(a39);
-  a42=(a17*a39);
-  a41=(a41-a42);
-  a42=arg[1]? arg[1][0] : 0;
-  a42=(a42-a25);
-  a43=(a41*a42);
-  a44=(a33*a22);
-  a21=(a02*a21);
-  a44=(a44-a21);
-  a21=(a44*a40);
-  a45=(a13*a39);
-  a21=(a21-a45);
-  a45=arg[1]? arg[1][1] : 0;
-  a45=(a45-a35);
-  a46=(a21*a45);
-  a43=(a43+a46);
-  a22=(a15*a22);
-  a46=(a22*a40);
-  a47=(a08*a39);
-  a46=(a46+a47);
-  a47=arg[1]? arg[1][2] : 0;
-  a47=(a47-a20);
-  a48=(a46*a47);
-  a43=(a43+a48);
-  a48=(2.*a43);
-  a43=casadi_sq(a43);
-  a49=(a08*a40);
-  a50=(a22*a39);
-  a49=(a49-a50);
-  a50=(a49*a47);
-  a51=(a38*a39);
-  a52=(a17*a40);
-  a51=(a51+a52);
-  a52=(a51*a42);
-  a39=(a44*a39);
-  a40=(a13*a40);
-  a39=(a39+a40);
-  a40=(a39*a45);
-  a52=(a52+a40);
-  a50=(a50-a52);
-  a52=casadi_sq(a50);
-  a43=(a43+a52);
-  a42=(a23*a42);
-  a45=(a34*a45);
-  a42=(a42-a45);
-  a47=(a16*a47);
-  a42=(a42-a47);
-  a47=casadi_sq(a42);
-  a43=(a43+a47);
-  a47=9.9999999999999998e-13;
-  a43=casadi_fmax(a43,a47);
-  a43=sqrt(a43);
-  a42=(a43+a42);
-  a47=(a47*a43);
-  a42=casadi_fmax(a42,a47);
-  a48=(a48/a42);
-  if (res[1]!=0) res[1][0]=a48;
-  a50=(2.*a50);
-  a50=(a50/a42);
-  if (res[1]!=0) res[1][1]=a50;
-  if (res[2]!=0) res[2][0]=a06;
-  if (res[2]!=0) res[2][1]=a27;
-  if (res[2]!=0) res[2][2]=a00;
-  if (res[2]!=0) res[2][3]=a19;
-  if (res[2]!=0) res[2][4]=a32;
-  if (res[2]!=0) res[2][5]=a14;
-  if (res[2]!=0) res[2][6]=a25;
-  if (res[2]!=0) res[2][7]=a35;
-  if (res[2]!=0) res[2][8]=a20;
-  if (res[3]!=0) res[3][0]=a02;
-  a50=(-a01);
-  if (res[3]!=0) res[3][1]=a50;
-  a50=0.;
-  if (res[3]!=0) res[3][2]=a50;
-  if (res[3]!=0) res[3][3]=a50;
-  if (res[3]!=0) res[3][4]=a01;
-  if (res[3]!=0) res[3][5]=a02;
-  if (res[3]!=0) res[3][6]=a50;
-  if (res[3]!=0) res[3][7]=a50;
-  if (res[3]!=0) res[3][8]=a50;
-  if (res[3]!=0) res[3][9]=a50;
-  a42=1.;
-  if (res[3]!=0) res[3][10]=a42;
-  if (res[3]!=0) res[3][11]=a36;
-  if (res[3]!=0) res[3][12]=a05;
-  a11=(-a11);
-  if (res[3]!=0) res[3][13]=a11;
-  if (res[3]!=0) res[3][14]=a01;
-  if (res[3]!=0) res[3][15]=a50;
-  if (res[3]!=0) res[3][16]=a26;
-  a29=(-a29);
-  if (res[3]!=0) res[3][17]=a29;
-  a02=(-a02);
-  if (res[3]!=0) res[3][18]=a02;
-  if (res[3]!=0) res[3][19]=a50;
-  if (res[3]!=0) res[3][20]=a03;
-  if (res[3]!=0) res[3][21]=a04;
-  if (res[3]!=0) res[3][22]=a50;
-  if (res[3]!=0) res[3][23]=a36;
-  if (res[3]!=0) res[3][24]=a10;
-  a18=(-a18);
-  if (res[3]!=0) res[3][25]=a18;
-  if (res[3]!=0) res[3][26]=a01;
-  if (res[3]!=0) res[3][27]=a06;
-  if (res[3]!=0) res[3][28]=a28;
-  a31=(-a31);
-  if (res[3]!=0) res[3][29]=a31;
-  if (res[3]!=0) res[3][30]=a02;
-  if (res[3]!=0) res[3][31]=a27;
-  if (res[3]!=0) res[3][32]=a37;
-  if (res[3]!=0) res[3][33]=a09;
-  if (res[3]!=0) res[3][34]=a50;
-  if (res[3]!=0) res[3][35]=a00;
-  if (res[3]!=0) res[3][36]=a24;
-  a24=(-a17);
-  if (res[3]!=0) res[3][37]=a24;
-  if (res[3]!=0) res[3][38]=a01;
-  if (res[3]!=0) res[3][39]=a12;
-  if (res[3]!=0) res[3][40]=a33;
-  a33=(-a13);
-  if (res[3]!=0) res[3][41]=a33;
-  if (res[3]!=0) res[3][42]=a02;
-  if (res[3]!=0) res[3][43]=a30;
-  if (res[3]!=0) res[3][44]=a15;
-  if (res[3]!=0) res[3][45]=a08;
-  if (res[3]!=0) res[3][46]=a50;
-  if (res[3]!=0) res[3][47]=a07;
-  if (res[3]!=0) res[3][48]=a38;
-  if (res[3]!=0) res[3][49]=a23;
-  if (res[3]!=0) res[3][50]=a17;
-  if (res[3]!=0) res[3][51]=a19;
-  if (res[3]!=0) res[3][52]=a44;
-  a34=(-a34);
-  if (res[3]!=0) res[3][53]=a34;
-  if (res[3]!=0) res[3][54]=a13;
-  if (res[3]!=0) res[3][55]=a32;
-  if (res[3]!=0) res[3][56]=a22;
-  a16=(-a16);
-  if (res[3]!=0) res[3][57]=a16;
-  a08=(-a08);
-  if (res[3]!=0) res[3][58]=a08;
-  if (res[3]!=0) res[3][59]=a14;
-  if (res[3]!=0) res[3][60]=a41;
-  a51=(-a51);
-  if (res[3]!=0) res[3][61]=a51;
-  if (res[3]!=0) res[3][62]=a23;
-  if (res[3]!=0) res[3][63]=a25;
-  if (res[3]!=0) res[3][64]=a21;
-  a39=(-a39);
-  if (res[3]!=0) res[3][65]=a39;
-  if (res[3]!=0) res[3][66]=a34;
-  if (res[3]!=0) res[3][67]=a35;
-  if (res[3]!=0) res[3][68]=a46;
-  if (res[3]!=0) res[3][69]=a49;
-  if (res[3]!=0) res[3][70]=a16;
-  if (res[3]!=0) res[3][71]=a20;
-  if (res[3]!=0) res[3][72]=a41;
-  if (res[3]!=0) res[3][73]=a51;
-  if (res[3]!=0) res[3][74]=a23;
-  if (res[3]!=0) res[3][75]=a25;
-  if (res[3]!=0) res[3][76]=a21;
-  if (res[3]!=0) res[3][77]=a39;
-  if (res[3]!=0) res[3][78]=a34;
-  if (res[3]!=0) res[3][79]=a35;
-  if (res[3]!=0) res[3][80]=a46;
-  if (res[3]!=0) res[3][81]=a49;
-  if (res[3]!=0) res[3][82]=a16;
-  if (res[3]!=0) res[3][83]=a20;
-  return 0;
-}
-
-CASADI_SYMBOL_EXPORT int ur6_kinematics(const casadi_real** arg, casadi_real** res, casadi_int* iw, casadi_real* w, int mem){
-  return casadi_f0(arg, res, iw, w, mem);
-}
-
-CASADI_SYMBOL_EXPORT int ur6_kinematics_checkout(void) {
-  return 0;
-}
-
-CASADI_SYMBOL_EXPORT void ur6_kinematics_release(int mem) {
-}
-
-CASADI_SYMBOL_EXPORT void ur6_kinematics_incref(void) {
-}
-
-CASADI_SYMBOL_EXPORT void ur6_kinematics_decref(void) {
-}
-
-CASADI_SYMBOL_EXPORT casadi_int ur6_kinematics_n_in(void) { return 2;}
-
-CASADI_SYMBOL_EXPORT casadi_int ur6_kinematics_n_out(void) { return 4;}
-
-CASADI_SYMBOL_EXPORT casadi_real ur6_kinematics_default_in(casadi_int i) {
-  switch (i) {
-    default: return 0;
+  for (int j = 0; j < QP_N; ++j) out->u[j] = u[j];
+  for (int i = 0; i < QP_ALL; ++i) {
+    const double violation = qp_violation(p, u, i);
+    out->slack[i] = violation > 0.0 ? violation : 0.0;
   }
+  out->steps = (double)steps;
+  out->solved = row == -1 ? 1.0 : 0.0;
 }
 
-CASADI_SYMBOL_EXPORT const char* ur6_kinematics_name_in(casadi_int i) {
-  switch (i) {
-    case 0: return "q";
-    case 1: return "camera_reference";
-    default: return 0;
+int ur6_kinematics(const double **arg, double **res, long long int *iw, double *w, int mem) {
+  const double *restrict const q = arg[0];
+  const double *restrict const camera_reference = arg[1];
+  double *restrict const tool_position = res[0];
+  double *restrict const camera_value = res[1];
+  double *restrict const point_position = res[2];
+  double *restrict const link_pose = res[3];
+  double sine2[6], cosine3[6];
+  CLIKGEN_SIMD
+  for (int k1 = 0; k1 < 6; ++k1) clikgen_sincos(q[k1], &sine2[k1], &cosine3[k1]);
+  const double t4 = cosine3[0] * cosine3[1];
+  const double t5 = t4 * 0.425;
+  const double t6 = cosine3[0] * sine2[1];
+  const double t7 = t4 * cosine3[2] - t6 * sine2[2];
+  const double t8 = 0.1333 * sine2[0] - t5 - t7 * 0.3922;
+  const double t9 = t4 * sine2[2] + cosine3[2] * t6;
+  const double t10 = t7 * sine2[3] + t9 * cosine3[3];
+  const double t11 = t8 + t10 * 0.0997;
+  const double t12 = t7 * cosine3[3] - sine2[3] * t9;
+  const double t13 = sine2[0] * cosine3[4] - t12 * sine2[4];
+  const double t14 = t11 + 0.0996 * t13;
+  tool_position[0] = t14;
+  const double t15 = cosine3[1] * sine2[0];
+  const double t16 = 0.425 * t15;
+  const double t17 = sine2[1] * sine2[0];
+  const double t18 = cosine3[2] * t15 - sine2[2] * t17;
+  const double t19 = 0.3922 * t18 + (t16 + cosine3[0] * 0.1333);
+  const double t20 = sine2[2] * t15 + cosine3[2] * t17;
+  const double t21 = sine2[3] * t18 + cosine3[3] * t20;
+  const double t22 = 0.0997 * t21 - t19;
+  const double t23 = cosine3[3] * t18 - sine2[3] * t20;
+  const double t24 = sine2[4] * t23 + cosine3[0] * cosine3[4];
+  const double t25 = t22 - 0.0996 * t24;
+  tool_position[1] = t25;
+  const double t26 = 0.1625 - 0.425 * sine2[1];
+  const double t27 = cosine3[2] * sine2[1] + cosine3[1] * sine2[2];
+  const double t28 = t26 - 0.3922 * t27;
+  const double t29 = cosine3[1] * cosine3[2] - sine2[1] * sine2[2];
+  const double t30 = cosine3[3] * t29;
+  const double t31 = sine2[3] * t27;
+  const double t32 = t30 - t31;
+  const double t33 = t28 - 0.0997 * t32;
+  const double t34 = cosine3[3] * t27 + sine2[3] * t29;
+  const double t35 = sine2[4] * t34;
+  const double t36 = t33 - 0.0996 * t35;
+  tool_position[2] = t36;
+  const double t37 = cosine3[4] * t12 + sine2[0] * sine2[4];
+  const double t38 = t37 * cosine3[5] - t10 * sine2[5];
+  const double t39 = camera_reference[0] - t14;
+  const double t40 = cosine3[4] * t23 - cosine3[0] * sine2[4];
+  const double t41 = cosine3[5] * t40 - t21 * sine2[5];
+  const double t42 = camera_reference[1] - t25;
+  const double t43 = cosine3[4] * t34;
+  const double t44 = cosine3[5] * t43 + t32 * sine2[5];
+  const double t45 = camera_reference[2] - t36;
+  const double t46 = t41 * t42 + (t38 * t39 + t44 * t45);
+  const double t47 = t32 * cosine3[5] - sine2[5] * t43;
+  const double t48 = t37 * sine2[5] + t10 * cosine3[5];
+  const double t49 = sine2[5] * t40 + t21 * cosine3[5];
+  const double t50 = t45 * t47 - t39 * t48 - t42 * t49;
+  const double t51 = t13 * t39 - t35 * t45 - t24 * t42;
+  const double t52 = t51 * t51 + (t46 * t46 + t50 * t50);
+  const double t53 = sqrt(t52 > 1e-12 ? t52 : 1e-12);
+  const double t54 = t51 + t53;
+  const double t55 = 1e-12 * t53;
+  const double t56 = 1.0 / (t54 > t55 ? t54 : t55);
+  camera_value[0] = (t46 + t46) * t56;
+  camera_value[1] = t56 * (t50 + t50);
+  const double t57 = -t5;
+  point_position[0] = t57;
+  const double t58 = -t16;
+  point_position[1] = t58;
+  point_position[2] = t26;
+  point_position[3] = t11;
+  point_position[4] = t22;
+  point_position[5] = t33;
+  point_position[6] = t14;
+  point_position[7] = t25;
+  point_position[8] = t36;
+  link_pose[0] = cosine3[0];
+  link_pose[1] = -sine2[0];
+  link_pose[2] = 0.0;
+  link_pose[3] = 0.0;
+  link_pose[4] = sine2[0];
+  link_pose[5] = cosine3[0];
+  link_pose[6] = 0.0;
+  link_pose[7] = 0.0;
+  link_pose[8] = 0.0;
+  link_pose[9] = 0.0;
+  link_pose[10] = 1.0;
+  link_pose[11] = 0.1625;
+  link_pose[12] = t4;
+  link_pose[13] = -t6;
+  link_pose[14] = sine2[0];
+  link_pose[15] = 0.0;
+  link_pose[16] = t15;
+  link_pose[17] = -t17;
+  const double t59 = -cosine3[0];
+  link_pose[18] = t59;
+  link_pose[19] = 0.0;
+  link_pose[20] = sine2[1];
+  link_pose[21] = cosine3[1];
+  link_pose[22] = 0.0;
+  link_pose[23] = 0.1625;
+  link_pose[24] = t7;
+  link_pose[25] = -t9;
+  link_pose[26] = sine2[0];
+  link_pose[27] = t57;
+  link_pose[28] = t18;
+  link_pose[29] = -t20;
+  link_pose[30] = t59;
+  link_pose[31] = t58;
+  link_pose[32] = t27;
+  link_pose[33] = t29;
+  link_pose[34] = 0.0;
+  link_pose[35] = t26;
+  link_pose[36] = t12;
+  link_pose[37] = -t10;
+  link_pose[38] = sine2[0];
+  link_pose[39] = t8;
+  link_pose[40] = t23;
+  link_pose[41] = -t21;
+  link_pose[42] = t59;
+  link_pose[43] = -t19;
+  link_pose[44] = t34;
+  link_pose[45] = t32;
+  link_pose[46] = 0.0;
+  link_pose[47] = t28;
+  link_pose[48] = t37;
+  link_pose[49] = t13;
+  link_pose[50] = t10;
+  link_pose[51] = t11;
+  link_pose[52] = t40;
+  const double t60 = -t24;
+  link_pose[53] = t60;
+  link_pose[54] = t21;
+  link_pose[55] = t22;
+  link_pose[56] = t43;
+  const double t61 = -t35;
+  link_pose[57] = t61;
+  link_pose[58] = t31 - t30;
+  link_pose[59] = t33;
+  link_pose[60] = t38;
+  const double t62 = -t48;
+  link_pose[61] = t62;
+  link_pose[62] = t13;
+  link_pose[63] = t14;
+  link_pose[64] = t41;
+  const double t63 = -t49;
+  link_pose[65] = t63;
+  link_pose[66] = t60;
+  link_pose[67] = t25;
+  link_pose[68] = t44;
+  link_pose[69] = t47;
+  link_pose[70] = t61;
+  link_pose[71] = t36;
+  link_pose[72] = t38;
+  link_pose[73] = t62;
+  link_pose[74] = t13;
+  link_pose[75] = t14;
+  link_pose[76] = t41;
+  link_pose[77] = t63;
+  link_pose[78] = t60;
+  link_pose[79] = t25;
+  link_pose[80] = t44;
+  link_pose[81] = t47;
+  link_pose[82] = t61;
+  link_pose[83] = t36;
+  (void)iw, (void)w, (void)mem;
+  return 0;
+}
+
+int ur6_jacobians(const double **arg, double **res, long long int *iw, double *w, int mem) {
+  const double *restrict const q = arg[0];
+  const double *restrict const camera_reference = arg[1];
+  double *restrict const tool_jacobian = res[0];
+  double *restrict const camera_jacobian = res[1];
+  double *restrict const point_jacobian = res[2];
+  double sine65[6], cosine66[6];
+  CLIKGEN_SIMD
+  for (int k64 = 0; k64 < 6; ++k64) clikgen_sincos(q[k64], &sine65[k64], &cosine66[k64]);
+  const double t67 = sine65[0] * cosine66[1];
+  const double t68 = t67 * 0.425;
+  const double t69 = sine65[0] * sine65[1];
+  const double t70 = t67 * cosine66[2] - t69 * sine65[2];
+  const double t71 = t70 * 0.3922 + (t68 + 0.1333 * cosine66[0]);
+  const double t72 = t67 * sine65[2] + cosine66[2] * t69;
+  const double t73 = t70 * sine65[3] + t72 * cosine66[3];
+  const double t74 = t73 * 0.0997;
+  const double t75 = t74 - t71;
+  const double t76 = t70 * cosine66[3] - sine65[3] * t72;
+  const double t77 = t76 * sine65[4] + cosine66[0] * cosine66[4];
+  const double t78 = 0.0996 * t77;
+  const double t79 = t78 - t75;
+  tool_jacobian[0] = t79;
+  const double t80 = 0.425 * sine65[1];
+  const double t81 = 0.1625 - t80;
+  const double t82 = cosine66[2] * sine65[1] + cosine66[1] * sine65[2];
+  const double t83 = t81 - 0.3922 * t82;
+  const double t84 = cosine66[1] * cosine66[2] - sine65[1] * sine65[2];
+  const double t85 = cosine66[3] * t84 - sine65[3] * t82;
+  const double t86 = 0.0997 * t85;
+  const double t87 = t83 - t86;
+  const double t88 = cosine66[3] * t82 + sine65[3] * t84;
+  const double t89 = sine65[4] * t88;
+  const double t90 = t87 - 0.0996 * t89;
+  const double t91 = t90 - 0.1625;
+  const double t92 = cosine66[0] * t91;
+  const double t93 = -t92;
+  tool_jacobian[1] = t93;
+  const double t94 = t90 - t81;
+  const double t95 = cosine66[0] * t94;
+  const double t96 = -t95;
+  tool_jacobian[2] = t96;
+  const double t97 = t90 - t83;
+  const double t98 = cosine66[0] * t97;
+  const double t99 = -t98;
+  tool_jacobian[3] = t99;
+  const double t100 = t75 - t78;
+  const double t101 = t90 - t87;
+  const double t102 = t100 - t75;
+  const double t103 = t73 * t101 + t85 * t102;
+  tool_jacobian[4] = t103;
+  tool_jacobian[5] = 0.0;
+  const double t104 = cosine66[1] * cosine66[0];
+  const double t105 = 0.425 * t104;
+  const double t106 = sine65[1] * cosine66[0];
+  const double t107 = cosine66[2] * t104 - sine65[2] * t106;
+  const double t108 = sine65[0] * 0.1333 - t105 - 0.3922 * t107;
+  const double t109 = sine65[2] * t104 + cosine66[2] * t106;
+  const double t110 = sine65[3] * t107 + cosine66[3] * t109;
+  const double t111 = t108 + 0.0997 * t110;
+  const double t112 = cosine66[3] * t107 - sine65[3] * t109;
+  const double t113 = sine65[0] * cosine66[4] - sine65[4] * t112;
+  const double t114 = 0.0996 * t113;
+  const double t115 = t111 + t114;
+  tool_jacobian[6] = t115;
+  const double t116 = sine65[0] * t91;
+  const double t117 = -t116;
+  tool_jacobian[7] = t117;
+  const double t118 = sine65[0] * t94;
+  const double t119 = -t118;
+  tool_jacobian[8] = t119;
+  const double t120 = sine65[0] * t97;
+  const double t121 = -t120;
+  tool_jacobian[9] = t121;
+  const double t122 = t85 * t114 + t101 * t110;
+  const double t123 = -t122;
+  tool_jacobian[10] = t123;
+  tool_jacobian[11] = 0.0;
+  tool_jacobian[12] = 0.0;
+  const double t124 = sine65[0] * t100 + cosine66[0] * t115;
+  tool_jacobian[13] = t124;
+  const double t125 = sine65[0] * (t68 + t100) + cosine66[0] * (t105 + t115);
+  tool_jacobian[14] = t125;
+  const double t126 = sine65[0] * (t71 + t100) + cosine66[0] * (t115 - t108);
+  tool_jacobian[15] = t126;
+  const double t127 = t102 * t110 - t73 * t114;
+  tool_jacobian[16] = t127;
+  tool_jacobian[17] = 0.0;
+  const double t128 = cosine66[4] * t112 + sine65[0] * sine65[4];
+  const double t129 = t128 * cosine66[5] - t110 * sine65[5];
+  const double t130 = camera_reference[0] - t115;
+  const double t131 = t76 * cosine66[4] - cosine66[0] * sine65[4];
+  const double t132 = cosine66[5] * t131 - t73 * sine65[5];
+  const double t133 = camera_reference[1] - t100;
+  const double t134 = cosine66[4] * t88;
+  const double t135 = cosine66[5] * t134 + t85 * sine65[5];
+  const double t136 = camera_reference[2] - t90;
+  const double t137 = t132 * t133 + (t129 * t130 + t135 * t136);
+  const double t138 = t85 * cosine66[5] - sine65[5] * t134;
+  const double t139 = t128 * sine65[5] + t110 * cosine66[5];
+  const double t140 = sine65[5] * t131 + t73 * cosine66[5];
+  const double t141 = t136 * t138 - t130 * t139 - t133 * t140;
+  const double t142 = t113 * t130 - t89 * t136 - t77 * t133;
+  const double t143 = t142 * t142 + (t137 * t137 + t141 * t141);
+  const double t144 = sqrt(t143 > 1e-12 ? t143 : 1e-12);
+  const double t145 = t142 + t144;
+  const double t146 = 1e-12 * t144;
+  const double t147 = 1.0 / (t145 > t146 ? t145 : t146);
+  const double t148 = 2.0 * t147;
+  const double t149 = 1.0 / t144;
+  const double t150 = t137 * t149;
+  const double t151 = 1.0 / 2.0;
+  const double t152 = t147 * (t137 + t137) * t151;
+  const double t153 = t148 * (1.0 - t150 * t152);
+  const double t154 = t129 * camera_reference[1] - camera_reference[0] * t132;
+  const double t155 = t151 * (t147 * (t141 + t141));
+  const double t156 = t148 * (t150 * t155);
+  const double t157 = camera_reference[0] * t140 - camera_reference[1] * t139;
+  const double t158 = t148 * t150;
+  const double t159 = t113 * camera_reference[1] + t77 * camera_reference[0];
+  camera_jacobian[0] = t153 * t154 - (t156 * t157 + t158 * t159);
+  const double t160 = cosine66[0] * t136;
+  const double t161 = t92 + t160;
+  const double t162 = sine65[0] * t136;
+  const double t163 = t116 + t162;
+  const double t164 = sine65[0] * t133 + cosine66[0] * t130;
+  const double t165 = t124 + t164;
+  const double t166 = t129 * t161 + t132 * t163 - t135 * t165;
+  const double t167 = t138 * t165 + (t139 * t161 + t140 * t163);
+  const double t168 = t89 * t165 + (t113 * t161 - t77 * t163);
+  camera_jacobian[1] = t153 * t166 + (t156 * t167 - t158 * t168);
+  const double t169 = t95 + t160;
+  const double t170 = t118 + t162;
+  const double t171 = t125 + t164;
+  const double t172 = t129 * t169 + t132 * t170 - t135 * t171;
+  const double t173 = t138 * t171 + (t139 * t169 + t140 * t170);
+  const double t174 = t89 * t171 + (t113 * t169 - t77 * t170);
+  camera_jacobian[2] = t153 * t172 + (t156 * t173 - t158 * t174);
+  const double t175 = t98 + t160;
+  const double t176 = t120 + t162;
+  const double t177 = t126 + t164;
+  const double t178 = t129 * t175 + t132 * t176 - t135 * t177;
+  const double t179 = t138 * t177 + (t139 * t175 + t140 * t176);
+  const double t180 = t89 * t177 + (t113 * t175 - t77 * t176);
+  camera_jacobian[3] = t153 * t178 + (t156 * t179 - t158 * t180);
+  const double t181 = t85 * t130 + (t122 + t110 * t136);
+  const double t182 = t103 + (t73 * t136 + t85 * t133);
+  const double t183 = t73 * t130 - t110 * t133 - t127;
+  const double t184 = t135 * t183 + (t132 * t181 - t129 * t182);
+  const double t185 = t138 * t183 + (t139 * t182 - t140 * t181);
+  const double t186 = t89 * t183 + (t113 * t182 + t77 * t181);
+  camera_jacobian[4] = t153 * t184 + (t158 * t186 - t156 * t185);
+  const double t187 = t77 * t136 - t89 * t133;
+  const double t188 = t113 * t136 + t89 * t130;
+  const double t189 = t113 * t133 + t77 * t130;
+  const double t190 = t129 * t187 + t132 * t188 - t135 * t189;
+  const double t191 = t138 * t189 + (t139 * t187 + t140 * t188);
+  const double t192 = t89 * t189 + (t113 * t187 - t77 * t188);
+  camera_jacobian[5] = t153 * t190 + (t156 * t191 - t158 * t192);
+  const double t193 = t141 * t149;
+  const double t194 = t148 * (1.0 - t155 * t193);
+  const double t195 = t148 * (t152 * t193);
+  const double t196 = t148 * t193;
+  camera_jacobian[6] = t157 * t194 - (t154 * t195 + t159 * t196);
+  camera_jacobian[7] = -(t167 * t194 + (t166 * t195 + t168 * t196));
+  camera_jacobian[8] = -(t173 * t194 + (t172 * t195 + t174 * t196));
+  camera_jacobian[9] = -(t179 * t194 + (t178 * t195 + t180 * t196));
+  camera_jacobian[10] = t185 * t194 + (t186 * t196 - t184 * t195);
+  camera_jacobian[11] = -(t191 * t194 + (t190 * t195 + t192 * t196));
+  point_jacobian[0] = t68;
+  point_jacobian[1] = cosine66[0] * t80;
+  point_jacobian[2] = 0.0;
+  point_jacobian[3] = 0.0;
+  point_jacobian[4] = 0.0;
+  point_jacobian[5] = 0.0;
+  point_jacobian[6] = -t105;
+  point_jacobian[7] = sine65[0] * t80;
+  point_jacobian[8] = 0.0;
+  point_jacobian[9] = 0.0;
+  point_jacobian[10] = 0.0;
+  point_jacobian[11] = 0.0;
+  point_jacobian[12] = 0.0;
+  point_jacobian[13] = -(sine65[0] * t68 + cosine66[0] * t105);
+  point_jacobian[14] = 0.0;
+  point_jacobian[15] = 0.0;
+  point_jacobian[16] = 0.0;
+  point_jacobian[17] = 0.0;
+  point_jacobian[18] = t71 - t74;
+  const double t197 = t87 - 0.1625;
+  point_jacobian[19] = -(cosine66[0] * t197);
+  const double t198 = t87 - t81;
+  point_jacobian[20] = -(cosine66[0] * t198);
+  point_jacobian[21] = cosine66[0] * t86;
+  point_jacobian[22] = 0.0;
+  point_jacobian[23] = 0.0;
+  point_jacobian[24] = t111;
+  point_jacobian[25] = -(sine65[0] * t197);
+  point_jacobian[26] = -(sine65[0] * t198);
+  point_jacobian[27] = sine65[0] * t86;
+  point_jacobian[28] = 0.0;
+  point_jacobian[29] = 0.0;
+  point_jacobian[30] = 0.0;
+  point_jacobian[31] = sine65[0] * t75 + cosine66[0] * t111;
+  point_jacobian[32] = sine65[0] * (t68 + t75) + cosine66[0] * (t105 + t111);
+  point_jacobian[33] = sine65[0] * (t71 + t75) + cosine66[0] * (t111 - t108);
+  point_jacobian[34] = 0.0;
+  point_jacobian[35] = 0.0;
+  point_jacobian[36] = t79;
+  point_jacobian[37] = t93;
+  point_jacobian[38] = t96;
+  point_jacobian[39] = t99;
+  point_jacobian[40] = t103;
+  point_jacobian[41] = 0.0;
+  point_jacobian[42] = t115;
+  point_jacobian[43] = t117;
+  point_jacobian[44] = t119;
+  point_jacobian[45] = t121;
+  point_jacobian[46] = t123;
+  point_jacobian[47] = 0.0;
+  point_jacobian[48] = 0.0;
+  point_jacobian[49] = t124;
+  point_jacobian[50] = t125;
+  point_jacobian[51] = t126;
+  point_jacobian[52] = t127;
+  point_jacobian[53] = 0.0;
+  (void)iw, (void)w, (void)mem;
+  return 0;
+}
+
+int ur6_step(const double **arg, double **res, long long int *iw, double *w, int mem) {
+  const double *restrict const q = arg[0];
+  const double *restrict const walls_normal = arg[1];
+  const double *restrict const walls_offset = arg[2];
+  const double *restrict const walls_margin = arg[3];
+  const double *restrict const walls_rate = arg[4];
+  const double *restrict const tool_reference = arg[5];
+  const double *restrict const tool_reference_velocity = arg[6];
+  const double *restrict const tool_gain = arg[7];
+  const double *restrict const tool_damping = arg[8];
+  const double *restrict const tool_near_singularity = arg[9];
+  const double *restrict const camera_reference = arg[10];
+  const double *restrict const camera_reference_velocity = arg[11];
+  const double *restrict const camera_gain = arg[12];
+  const double *restrict const camera_damping = arg[13];
+  const double *restrict const camera_near_singularity = arg[14];
+  const double *restrict const velocity_limit = arg[15];
+  const double *restrict const tool_yields = arg[16];
+  const double *restrict const camera_yields = arg[17];
+  const double *restrict const filter_cutoff = arg[18];
+  const double *restrict const lam_free = arg[19];
+  const double *restrict const period = arg[20];
+  double *restrict const q_next = res[0];
+  double *restrict const dq = res[1];
+  double *restrict const dq_law = res[2];
+  double *restrict const walls_distance = res[3];
+  double *restrict const tool_position = res[4];
+  double *restrict const tool_error = res[5];
+  double *restrict const camera_value = res[6];
+  double *restrict const camera_error = res[7];
+  double *restrict const barrier_excess = res[8];
+  double *restrict const barrier_row = res[9];
+  double *restrict const barrier_steps = res[10];
+  double *restrict const barrier_solved = res[11];
+  double *restrict const lam = res[12];
+  double sine200[6], cosine201[6];
+  CLIKGEN_SIMD
+  for (int k199 = 0; k199 < 6; ++k199) clikgen_sincos(q[k199], &sine200[k199], &cosine201[k199]);
+  qp_program qp202;
+  qp_solution solution203;
+  const double t205 = cosine201[0] * cosine201[1];
+  const double t206 = t205 * 0.425;
+  const double t207 = cosine201[0] * sine200[1];
+  const double t208 = t205 * cosine201[2] - t207 * sine200[2];
+  const double t209 = 0.1333 * sine200[0] - t206 - t208 * 0.3922;
+  const double t210 = t205 * sine200[2] + cosine201[2] * t207;
+  const double t211 = t208 * sine200[3] + t210 * cosine201[3];
+  const double t212 = t209 + t211 * 0.0997;
+  const double t213 = t208 * cosine201[3] - sine200[3] * t210;
+  const double t214 = sine200[0] * cosine201[4] - t213 * sine200[4];
+  const double t215 = 0.0996 * t214;
+  const double t216 = t212 + t215;
+  const double t217 = tool_reference[0] - t216;
+  const double t218 = cosine201[1] * sine200[0];
+  const double t219 = 0.425 * t218;
+  const double t220 = sine200[1] * sine200[0];
+  const double t221 = cosine201[2] * t218 - sine200[2] * t220;
+  const double t222 = 0.3922 * t221 + (t219 + cosine201[0] * 0.1333);
+  const double t223 = sine200[2] * t218 + cosine201[2] * t220;
+  const double t224 = sine200[3] * t221 + cosine201[3] * t223;
+  const double t225 = 0.0997 * t224 - t222;
+  const double t226 = cosine201[3] * t221 - sine200[3] * t223;
+  const double t227 = sine200[4] * t226 + cosine201[0] * cosine201[4];
+  const double t228 = t225 - 0.0996 * t227;
+  const double t229 = tool_reference[1] - t228;
+  const double t230 = 0.425 * sine200[1];
+  const double t231 = 0.1625 - t230;
+  const double t232 = cosine201[2] * sine200[1] + cosine201[1] * sine200[2];
+  const double t233 = t231 - 0.3922 * t232;
+  const double t234 = cosine201[1] * cosine201[2] - sine200[1] * sine200[2];
+  const double t235 = cosine201[3] * t234 - sine200[3] * t232;
+  const double t236 = 0.0997 * t235;
+  const double t237 = t233 - t236;
+  const double t238 = cosine201[3] * t232 + sine200[3] * t234;
+  const double t239 = sine200[4] * t238;
+  const double t240 = t237 - 0.0996 * t239;
+  const double t241 = tool_reference[2] - t240;
+  const double t242 = t240 - 0.1625;
+  const double t243 = sine200[0] * t242;
+  const double t244 = cosine201[0] * t242;
+  const double t245 = t240 - t231;
+  const double t246 = sine200[0] * t245;
+  const double t247 = cosine201[0] * t245;
+  const double t248 = t240 - t233;
+  const double t249 = sine200[0] * t248;
+  const double t250 = cosine201[0] * t248;
+  const double t251 = t240 - t237;
+  const double t252 = t215 * t235 + t211 * t251;
+  const double t253 = t228 - t225;
+  const double t254 = t224 * t251 + t235 * t253;
+  const double t255 = t243 * t244 - t216 * t228 + (t246 * t247 + t249 * t250) - t252 * t254;
+  const double t256 = t228 * t228;
+  const double t257 = t244 * t244;
+  const double t258 = t247 * t247;
+  const double t259 = t250 * t250;
+  const double t260 = t254 * t254;
+  const double t261 = t260 + (t256 + t257 + (t258 + t259));
+  const double t262 = t261 * 1.4210854715202004e-14;
+  const double t263 = t262 + 1e-200;
+  const double t264 = t261 > t263 ? t261 : t263;
+  const double t265 = 1.0 / t264;
+  const double t266 = t255 * t265;
+  const double t267 = t266 * t266;
+  const double t268 = t252 * t252 + (t216 * t216 + t243 * t243 + (t246 * t246 + t249 * t249));
+  const double t269 = 1.4210854715202004e-14 * t268;
+  const double t270 = t268 - t264 * t267;
+  const double t271 = 1e-200 + t269;
+  const double t272 = t270 > t271 ? t270 : t271;
+  const double t273 = 1.0 / t272;
+  const double t274 = t211 * t253 - t215 * t224;
+  const double t275 = sine200[0] * t228 + cosine201[0] * t216;
+  const double t276 = sine200[0] * (t219 + t228) + cosine201[0] * (t206 + t216);
+  const double t277 = sine200[0] * (t222 + t228) + cosine201[0] * (t216 - t209);
+  const double t278 = t254 * t274 - t244 * t275 - (t247 * t276 + t250 * t277);
+  const double t279 = t265 * t278;
+  const double t280 = t243 * t275 + t246 * t276 + (t249 * t277 + t252 * t274);
+  const double t281 = t273 * (t280 + t266 * t278);
+  const double t282 = t279 + t266 * t281;
+  const double t283 = t281 * t281;
+  const double t284 = t275 * t275 + t276 * t276 + (t277 * t277 + t274 * t274);
+  const double t285 = 1.4210854715202004e-14 * t284;
+  const double t286 = t284 - t264 * (t279 * t279) - t272 * t283;
+  const double t287 = 1e-200 + t285;
+  const double t288 = (t282 * t282 + (1.0 + t283)) / (t286 > t287 ? t286 : t287) + (t265 + (1.0 + t267) * t273);
+  const double t289 = 1.0 / t288;
+  const double t290 = 1.0 - t289 * (1.0 / (tool_near_singularity[0] * tool_near_singularity[0]));
+  const double t291 = 0.0 > t290 ? 0.0 : t290;
+  const double t292 = t291 * t291;
+  const double t293 = t284 + (t261 + t268);
+  const double t294 = 1.0 - t289 * (1.0 / (1e-200 + t293 * 3.725290298461914e-09));
+  const double t295 = 0.0 > t294 ? 0.0 : t294;
+  const double t296 = tool_damping[0] * tool_damping[0] * t292;
+  const double t297 = 9.313225746154785e-10 * t293 * (t295 * t295);
+  const double t298 = t296 > t297 ? t296 : t297;
+  const double t299 = t261 + t298;
+  const double t300 = t262 + t298;
+  const double t301 = t299 > t300 ? t299 : t300;
+  const double t302 = 1.0 / t301;
+  const double t303 = t255 * t302;
+  const double t304 = t229 * tool_gain[1] + (t217 * tool_gain[0] + (tool_reference_velocity[0] + t241 * tool_gain[2]));
+  const double t305 = tool_gain[4] * t229 + (tool_gain[3] * t217 + (tool_reference_velocity[1] + tool_gain[5] * t241));
+  const double t306 = t305 - t303 * t304;
+  const double t307 = t268 + t298 - t301 * (t303 * t303);
+  const double t308 = t269 + t298;
+  const double t309 = t307 > t308 ? t307 : t308;
+  const double t310 = 1.0 / t309;
+  const double t311 = t310 * (t280 + t278 * t303);
+  const double t312 = t278 * t302;
+  const double t313 = t229 * tool_gain[7] + (t217 * tool_gain[6] + (tool_reference_velocity[2] + t241 * tool_gain[8]));
+  const double t314 = t284 + t298 - t301 * (t312 * t312) - t309 * (t311 * t311);
+  const double t315 = t285 + t298;
+  const double t316 = (t306 * t311 + (t313 - t304 * t312)) / (t314 > t315 ? t314 : t315);
+  const double t317 = t306 * t310 + t311 * t316;
+  const double t318 = t302 * t304 - t312 * t316 - t303 * t317;
+  const double t319 = t216 * t317 - t228 * t318;
+  const double t320 = cosine201[4] * t213 + sine200[0] * sine200[4];
+  const double t321 = t320 * cosine201[5] - t211 * sine200[5];
+  const double t322 = camera_reference[0] - t216;
+  const double t323 = cosine201[4] * t226 - cosine201[0] * sine200[4];
+  const double t324 = cosine201[5] * t323 - t224 * sine200[5];
+  const double t325 = camera_reference[1] - t228;
+  const double t326 = cosine201[4] * t238;
+  const double t327 = cosine201[5] * t326 + t235 * sine200[5];
+  const double t328 = camera_reference[2] - t240;
+  const double t329 = t324 * t325 + (t321 * t322 + t327 * t328);
+  const double t330 = t235 * cosine201[5] - sine200[5] * t326;
+  const double t331 = t320 * sine200[5] + t211 * cosine201[5];
+  const double t332 = sine200[5] * t323 + t224 * cosine201[5];
+  const double t333 = t328 * t330 - t322 * t331 - t325 * t332;
+  const double t334 = t214 * t322 - t239 * t328 - t227 * t325;
+  const double t335 = t334 * t334 + (t329 * t329 + t333 * t333);
+  const double t336 = sqrt(t335 > 1e-12 ? t335 : 1e-12);
+  const double t337 = t334 + t336;
+  const double t338 = 1e-12 * t336;
+  const double t339 = 1.0 / (t337 > t338 ? t337 : t338);
+  const double t340 = 2.0 * t339;
+  const double t341 = 1.0 / t336;
+  const double t342 = t329 * t341;
+  const double t343 = t339 * (t329 + t329);
+  const double t344 = 1.0 / 2.0;
+  const double t345 = t343 * t344;
+  const double t346 = t340 * (1.0 - t342 * t345);
+  const double t347 = t321 * camera_reference[1] - camera_reference[0] * t324;
+  const double t348 = t339 * (t333 + t333);
+  const double t349 = t344 * t348;
+  const double t350 = t340 * (t342 * t349);
+  const double t351 = camera_reference[0] * t332 - camera_reference[1] * t331;
+  const double t352 = t340 * t342;
+  const double t353 = t214 * camera_reference[1] + t227 * camera_reference[0];
+  const double t354 = t346 * t347 - (t350 * t351 + t352 * t353);
+  const double t355 = t235 * t322 + (t252 + t211 * t328);
+  const double t356 = t254 + (t224 * t328 + t235 * t325);
+  const double t357 = t224 * t322 - t211 * t325 - t274;
+  const double t358 = t327 * t357 + (t324 * t355 - t321 * t356);
+  const double t359 = t330 * t357 + (t331 * t356 - t332 * t355);
+  const double t360 = t239 * t357 + (t214 * t356 + t227 * t355);
+  const double t361 = t346 * t358 + (t352 * t360 - t350 * t359);
+  const double t362 = cosine201[0] * t328;
+  const double t363 = t244 + t362;
+  const double t364 = sine200[0] * t328;
+  const double t365 = t243 + t364;
+  const double t366 = sine200[0] * t325 + cosine201[0] * t322;
+  const double t367 = t275 + t366;
+  const double t368 = t321 * t363 + t324 * t365 - t327 * t367;
+  const double t369 = t330 * t367 + (t331 * t363 + t332 * t365);
+  const double t370 = t239 * t367 + (t214 * t363 - t227 * t365);
+  const double t371 = t346 * t368 + (t350 * t369 - t352 * t370);
+  const double t372 = t247 + t362;
+  const double t373 = t246 + t364;
+  const double t374 = t276 + t366;
+  const double t375 = t321 * t372 + t324 * t373 - t327 * t374;
+  const double t376 = t330 * t374 + (t331 * t372 + t332 * t373);
+  const double t377 = t239 * t374 + (t214 * t372 - t227 * t373);
+  const double t378 = t346 * t375 + (t350 * t376 - t352 * t377);
+  const double t379 = t250 + t362;
+  const double t380 = t249 + t364;
+  const double t381 = t277 + t366;
+  const double t382 = t321 * t379 + t324 * t380 - t327 * t381;
+  const double t383 = t330 * t381 + (t331 * t379 + t332 * t380);
+  const double t384 = t239 * t381 + (t214 * t379 - t227 * t380);
+  const double t385 = t346 * t382 + (t350 * t383 - t352 * t384);
+  const double t386 = 1e-200 + t261 * 1.2924697071141057e-26;
+  const double t387 = 1.0 / (t261 > t386 ? t261 : t386);
+  const double t388 = (t254 * t361 - t228 * t354 - t250 * t385 - (t244 * t371 + t247 * t378)) * t387;
+  const double t389 = t354 + t228 * t388;
+  const double t390 = t255 * t387;
+  const double t391 = t216 + t228 * t390;
+  const double t392 = t244 * t390 - t243;
+  const double t393 = t371 + t244 * t388;
+  const double t394 = t247 * t390 - t246;
+  const double t395 = t378 + t247 * t388;
+  const double t396 = t250 * t390 - t249;
+  const double t397 = t385 + t250 * t388;
+  const double t398 = t252 + t254 * t390;
+  const double t399 = t361 - t254 * t388;
+  const double t400 = t394 * t394 + t396 * t396 + (t398 * t398 + (t391 * t391 + t392 * t392));
+  const double t401 = 1e-200 + t268 * 1.2924697071141057e-26;
+  const double t402 = 1.0 / (t400 > t401 ? t400 : t401);
+  const double t403 = (t394 * t395 + t396 * t397 + (t389 * t391 + t392 * t393 - t398 * t399)) * t402;
+  const double t404 = t389 - t391 * t403;
+  const double t405 = t278 * t387;
+  const double t406 = t228 * t405;
+  const double t407 = t275 + t244 * t405;
+  const double t408 = t276 + t247 * t405;
+  const double t409 = t277 + t250 * t405;
+  const double t410 = t274 - t254 * t405;
+  const double t411 = t402 * (t394 * t408 + t396 * t409 + (t391 * t406 + t392 * t407 - t398 * t410));
+  const double t412 = t406 - t391 * t411;
+  const double t413 = t407 - t392 * t411;
+  const double t414 = t393 - t392 * t403;
+  const double t415 = t408 - t394 * t411;
+  const double t416 = t395 - t394 * t403;
+  const double t417 = t409 - t396 * t411;
+  const double t418 = t397 - t396 * t403;
+  const double t419 = t410 + t398 * t411;
+  const double t420 = t399 + t398 * t403;
+  const double t421 = t415 * t415 + t417 * t417 + (t419 * t419 + (t412 * t412 + t413 * t413));
+  const double t422 = 1e-200 + t284 * 1.2924697071141057e-26;
+  const double t423 = 1.0 / (t421 > t422 ? t421 : t422);
+  const double t424 = (t415 * t416 + t417 * t418 + (t419 * t420 + (t404 * t412 + t413 * t414))) * t423;
+  const double t425 = t404 - t412 * t424;
+  const double t426 = 1.0 - t292;
+  const double t427 = t330 * camera_reference_velocity[2] - t331 * camera_reference_velocity[0] - t332 * camera_reference_velocity[1];
+  const double t428 = t324 * camera_reference_velocity[1] + (t321 * camera_reference_velocity[0] + t327 * camera_reference_velocity[2]);
+  const double t429 = t214 * camera_reference_velocity[0] - t239 * camera_reference_velocity[2] - t227 * camera_reference_velocity[1];
+  const double t430 = t275 * t316 - t243 * t317 - t244 * t318;
+  const double t431 = t276 * t316 - t246 * t317 - t247 * t318;
+  const double t432 = t277 * t316 - t249 * t317 - t250 * t318;
+  const double t433 = t254 * t318 + (t274 * t316 - t252 * t317);
+  const double t434 = t350 * t427 + (t352 * t429 - (t343 * camera_gain[0] + t348 * camera_gain[1])) - t346 * t428;
+  const double t435 = t426 * (t434 - t319 * t354 - (t371 * t430 + t378 * t431) - (t385 * t432 + t361 * t433));
+  const double t436 = t414 - t413 * t424;
+  const double t437 = t416 - t415 * t424;
+  const double t438 = t418 - t417 * t424;
+  const double t439 = t420 - t419 * t424;
+  const double t440 = t227 * t328 - t239 * t325;
+  const double t441 = t214 * t328 + t239 * t322;
+  const double t442 = t214 * t325 + t227 * t322;
+  const double t443 = t321 * t440 + t324 * t441 - t327 * t442;
+  const double t444 = t330 * t442 + (t331 * t440 + t332 * t441);
+  const double t445 = t239 * t442 + (t214 * t440 - t227 * t441);
+  const double t446 = t346 * t443 + (t350 * t444 - t352 * t445);
+  const double t447 = t446 * t446;
+  const double t448 = t425 * t425 + t447 + (t436 * t436 + t437 * t437 + (t438 * t438 + t439 * t439));
+  const double t449 = 1e-200 + 1.4210854715202004e-14 * t448;
+  const double t450 = t448 > t449 ? t448 : t449;
+  const double t451 = 1.0 / t450;
+  const double t452 = t333 * t341;
+  const double t453 = t340 * (1.0 - t349 * t452);
+  const double t454 = t340 * (t345 * t452);
+  const double t455 = t340 * t452;
+  const double t456 = t351 * t453 - (t347 * t454 + t353 * t455);
+  const double t457 = t369 * t453 + (t368 * t454 + t370 * t455);
+  const double t458 = t376 * t453 + (t375 * t454 + t377 * t455);
+  const double t459 = t383 * t453 + (t382 * t454 + t384 * t455);
+  const double t460 = t359 * t453 + (t360 * t455 - t358 * t454);
+  const double t461 = t387 * (t247 * t458 + t250 * t459 + (t254 * t460 + (t244 * t457 - t228 * t456)));
+  const double t462 = t456 + t228 * t461;
+  const double t463 = t244 * t461 - t457;
+  const double t464 = t247 * t461 - t458;
+  const double t465 = t250 * t461 - t459;
+  const double t466 = t460 - t254 * t461;
+  const double t467 = t402 * (t394 * t464 + t396 * t465 + (t391 * t462 + t392 * t463 - t398 * t466));
+  const double t468 = t462 - t391 * t467;
+  const double t469 = t463 - t392 * t467;
+  const double t470 = t464 - t394 * t467;
+  const double t471 = t465 - t396 * t467;
+  const double t472 = t466 + t398 * t467;
+  const double t473 = t423 * (t415 * t470 + t417 * t471 + (t419 * t472 + (t412 * t468 + t413 * t469)));
+  const double t474 = t468 - t412 * t473;
+  const double t475 = t469 - t413 * t473;
+  const double t476 = t470 - t415 * t473;
+  const double t477 = t471 - t417 * t473;
+  const double t478 = t472 - t419 * t473;
+  const double t479 = t444 * t453 + (t443 * t454 + t445 * t455);
+  const double t480 = t425 * t474 - t446 * t479 + (t436 * t475 + t437 * t476 + (t438 * t477 + t439 * t478));
+  const double t481 = t451 * t480;
+  const double t482 = t481 * t481;
+  const double t483 = t479 * t479;
+  const double t484 = t474 * t474 + t483 + (t475 * t475 + t476 * t476 + (t477 * t477 + t478 * t478));
+  const double t485 = t484 - t450 * t482;
+  const double t486 = 1e-200 + 1.4210854715202004e-14 * t484;
+  const double t487 = 1.0 / (t451 + (1.0 + t482) / (t485 > t486 ? t485 : t486));
+  const double t488 = 1.0 - t487 * (1.0 / (camera_near_singularity[0] * camera_near_singularity[0]));
+  const double t489 = 0.0 > t488 ? 0.0 : t488;
+  const double t490 = t385 * t385 + t361 * t361 + (t447 + t354 * t354 + (t371 * t371 + t378 * t378));
+  const double t491 = t459 * t459 + t460 * t460 + (t483 + t456 * t456 + (t457 * t457 + t458 * t458));
+  const double t492 = t490 + t491;
+  const double t493 = 1.0 - t487 * (1.0 / (1e-200 + 3.725290298461914e-09 * t492));
+  const double t494 = 0.0 > t493 ? 0.0 : t493;
+  const double t495 = camera_damping[0] * camera_damping[0] * (t489 * t489);
+  const double t496 = 9.313225746154785e-10 * t492 * (t494 * t494);
+  const double t497 = t495 > t496 ? t495 : t496;
+  const double t498 = t448 + t497;
+  const double t499 = t497 + 1.4210854715202004e-14 * t490;
+  const double t500 = t498 > t499 ? t498 : t499;
+  const double t501 = 1.0 / t500;
+  const double t502 = t480 * t501;
+  const double t503 = t428 * t454 + (t429 * t455 - (t343 * camera_gain[2] + t348 * camera_gain[3])) - t427 * t453;
+  const double t504 = t426 * (t432 * t459 - t433 * t460 + (t503 - t319 * t456 + (t430 * t457 + t431 * t458))) - t435 * t502;
+  const double t505 = t484 + t497 - t500 * (t502 * t502);
+  const double t506 = t497 + 1.4210854715202004e-14 * t491;
+  const double t507 = t504 / (t505 > t506 ? t505 : t506);
+  const double t508 = t435 * t501 - t502 * t507;
+  const double t509 = t425 * t508 + t474 * t507;
+  const double t510 = t436 * t508 + t475 * t507;
+  const double t511 = t437 * t508 + t476 * t507;
+  const double t512 = t438 * t508 + t477 * t507;
+  const double t513 = t439 * t508 + t478 * t507;
+  const double t514 = t423 * (t415 * t511 + t417 * t512 + (t419 * t513 + (t412 * t509 + t413 * t510)));
+  const double t515 = t509 - t412 * t514;
+  const double t516 = t510 - t413 * t514;
+  const double t517 = t511 - t415 * t514;
+  const double t518 = t512 - t417 * t514;
+  const double t519 = t513 - t419 * t514;
+  const double t520 = t402 * (t394 * t517 + t396 * t518 + (t391 * t515 + t392 * t516 - t398 * t519));
+  const double t521 = t515 - t391 * t520;
+  const double t522 = t519 + t398 * t520;
+  const double t523 = t516 - t392 * t520;
+  const double t524 = t517 - t394 * t520;
+  const double t525 = t518 - t396 * t520;
+  const double t526 = t387 * (t254 * t522 - t228 * t521 - t250 * t525 - (t244 * t523 + t247 * t524));
+  const double t527 = t228 * t526 + (t319 + t521);
+  const double t528 = t244 * t526 + (t430 + t523);
+  const double t529 = fabs(t527) * (1.0 / velocity_limit[0]);
+  const double t530 = fabs(t528) * (1.0 / velocity_limit[1]);
+  const double t531 = t247 * t526 + (t431 + t524);
+  const double t532 = t529 > t530 ? t529 : t530;
+  const double t533 = fabs(t531) * (1.0 / velocity_limit[2]);
+  const double t534 = t250 * t526 + (t432 + t525);
+  const double t535 = t532 > t533 ? t532 : t533;
+  const double t536 = fabs(t534) * (1.0 / velocity_limit[3]);
+  const double t537 = t433 + t522 - t254 * t526;
+  const double t538 = t535 > t536 ? t535 : t536;
+  const double t539 = fabs(t537) * (1.0 / velocity_limit[4]);
+  const double t540 = t446 * t508 - t479 * t507;
+  const double t541 = t538 > t539 ? t538 : t539;
+  const double t542 = fabs(t540) * (1.0 / velocity_limit[5]);
+  const double t543 = t541 > t542 ? t541 : t542;
+  const double t544 = 1.0 / (1.0 > t543 ? 1.0 : t543);
+  qp202.u0[0] = solution203.u[0] = t527 * t544;
+  qp202.u0[1] = solution203.u[1] = t528 * t544;
+  qp202.u0[2] = solution203.u[2] = t531 * t544;
+  qp202.u0[3] = solution203.u[3] = t534 * t544;
+  qp202.u0[4] = solution203.u[4] = t537 * t544;
+  qp202.u0[5] = solution203.u[5] = t540 * t544;
+  const double t545 = cosine201[0] * t230;
+  const double t546 = sine200[0] * t230;
+  const double t547 = sine200[0] * t219 + cosine201[0] * t206;
+  qp202.A[0][0] = t206 * walls_normal[1] - t219 * walls_normal[0];
+  qp202.A[0][1] = walls_normal[2] * t547 - (walls_normal[0] * t545 + walls_normal[1] * t546);
+  qp202.A[0][2] = 0.0;
+  qp202.A[0][3] = 0.0;
+  qp202.A[0][4] = 0.0;
+  qp202.A[0][5] = 0.0;
+  const double t548 = t237 - 0.1625;
+  const double t549 = cosine201[0] * t548;
+  const double t550 = sine200[0] * t548;
+  const double t551 = sine200[0] * t225 + cosine201[0] * t212;
+  const double t552 = t237 - t231;
+  const double t553 = cosine201[0] * t552;
+  const double t554 = sine200[0] * t552;
+  const double t555 = sine200[0] * (t219 + t225) + cosine201[0] * (t206 + t212);
+  const double t556 = cosine201[0] * t236;
+  const double t557 = sine200[0] * t236;
+  const double t558 = sine200[0] * (t222 + t225) + cosine201[0] * (t212 - t209);
+  qp202.A[1][0] = t225 * walls_normal[0] - t212 * walls_normal[1];
+  qp202.A[1][1] = walls_normal[0] * t549 + walls_normal[1] * t550 - walls_normal[2] * t551;
+  qp202.A[1][2] = walls_normal[0] * t553 + walls_normal[1] * t554 - walls_normal[2] * t555;
+  qp202.A[1][3] = -(walls_normal[2] * t558 + (walls_normal[0] * t556 + walls_normal[1] * t557));
+  qp202.A[1][4] = 0.0;
+  qp202.A[1][5] = 0.0;
+  qp202.A[2][0] = t228 * walls_normal[0] - t216 * walls_normal[1];
+  qp202.A[2][1] = t244 * walls_normal[0] + t243 * walls_normal[1] - t275 * walls_normal[2];
+  qp202.A[2][2] = t247 * walls_normal[0] + t246 * walls_normal[1] - t276 * walls_normal[2];
+  qp202.A[2][3] = t250 * walls_normal[0] + t249 * walls_normal[1] - t277 * walls_normal[2];
+  qp202.A[2][4] = t252 * walls_normal[1] - t254 * walls_normal[0] - t274 * walls_normal[2];
+  qp202.A[2][5] = 0.0;
+  qp202.A[3][0] = t206 * walls_normal[4] - t219 * walls_normal[3];
+  qp202.A[3][1] = t547 * walls_normal[5] - (walls_normal[3] * t545 + walls_normal[4] * t546);
+  qp202.A[3][2] = 0.0;
+  qp202.A[3][3] = 0.0;
+  qp202.A[3][4] = 0.0;
+  qp202.A[3][5] = 0.0;
+  qp202.A[4][0] = t225 * walls_normal[3] - t212 * walls_normal[4];
+  qp202.A[4][1] = walls_normal[3] * t549 + walls_normal[4] * t550 - t551 * walls_normal[5];
+  qp202.A[4][2] = walls_normal[3] * t553 + walls_normal[4] * t554 - walls_normal[5] * t555;
+  qp202.A[4][3] = -(walls_normal[5] * t558 + (walls_normal[3] * t556 + walls_normal[4] * t557));
+  qp202.A[4][4] = 0.0;
+  qp202.A[4][5] = 0.0;
+  qp202.A[5][0] = t228 * walls_normal[3] - t216 * walls_normal[4];
+  qp202.A[5][1] = t244 * walls_normal[3] + t243 * walls_normal[4] - t275 * walls_normal[5];
+  qp202.A[5][2] = t247 * walls_normal[3] + t246 * walls_normal[4] - t276 * walls_normal[5];
+  qp202.A[5][3] = t250 * walls_normal[3] + t249 * walls_normal[4] - t277 * walls_normal[5];
+  qp202.A[5][4] = t252 * walls_normal[4] - t254 * walls_normal[3] - t274 * walls_normal[5];
+  qp202.A[5][5] = 0.0;
+  const double t559 = t231 * walls_normal[2] - walls_offset[0] - (t206 * walls_normal[0] + t219 * walls_normal[1]);
+  qp202.b[0] = walls_rate[0] * (t559 - walls_margin[0]);
+  const double t560 = t237 * walls_normal[2] - walls_offset[0] + (t212 * walls_normal[0] + t225 * walls_normal[1]);
+  qp202.b[1] = walls_rate[0] * (t560 - walls_margin[0]);
+  const double t561 = t228 * walls_normal[1] + (t216 * walls_normal[0] + (t240 * walls_normal[2] - walls_offset[0]));
+  qp202.b[2] = walls_rate[0] * (t561 - walls_margin[0]);
+  const double t562 = t231 * walls_normal[5] - walls_offset[1] - (t206 * walls_normal[3] + t219 * walls_normal[4]);
+  qp202.b[3] = walls_rate[0] * (t562 - walls_margin[1]);
+  const double t563 = t237 * walls_normal[5] - walls_offset[1] + (t212 * walls_normal[3] + t225 * walls_normal[4]);
+  qp202.b[4] = walls_rate[0] * (t563 - walls_margin[1]);
+  const double t564 = t228 * walls_normal[4] + (t216 * walls_normal[3] + (t240 * walls_normal[5] - walls_offset[1]));
+  qp202.b[5] = walls_rate[0] * (t564 - walls_margin[1]);
+  qp202.lower[0] = -velocity_limit[0];
+  qp202.lower[1] = -velocity_limit[1];
+  qp202.lower[2] = -velocity_limit[2];
+  qp202.lower[3] = -velocity_limit[3];
+  qp202.lower[4] = -velocity_limit[4];
+  qp202.lower[5] = -velocity_limit[5];
+  qp202.upper[0] = velocity_limit[0];
+  qp202.upper[1] = velocity_limit[1];
+  qp202.upper[2] = velocity_limit[2];
+  qp202.upper[3] = velocity_limit[3];
+  qp202.upper[4] = velocity_limit[4];
+  qp202.upper[5] = velocity_limit[5];
+  for (int i = 0; i < 12; ++i) solution203.slack[i] = 0.0;
+  solution203.steps = 0.0;
+  solution203.solved = 1.0;
+  static const char none[13] = {0};
+  const int row204 = qp_most_violated(&qp202, qp202.u0, none);
+  if (row204 >= 0) {
+    const double t565 = 1.0 / (t261 + 0.0001);
+    const double t566 = 1.0 - t256 * t565;
+    const double t567 = t565 * (t228 * t244);
+    const double t568 = t565 * (t228 * t247);
+    const double t569 = t565 * (t228 * t250);
+    const double t570 = t565 * (t228 * t254);
+    const double t571 = t249 * t569 - t252 * t570 + (t216 * t566 + (t243 * t567 + t246 * t568));
+    const double t572 = t565 * (t244 * t247);
+    const double t573 = 1.0 - t257 * t565;
+    const double t574 = t565 * (t244 * t250);
+    const double t575 = t565 * (t244 * t254);
+    const double t576 = t249 * t574 - t252 * t575 + (t246 * t572 - t216 * t567 - t243 * t573);
+    const double t577 = 1.0 - t258 * t565;
+    const double t578 = t565 * (t247 * t250);
+    const double t579 = t565 * (t247 * t254);
+    const double t580 = t249 * t578 - t252 * t579 + (t243 * t572 - t216 * t568 - t246 * t577);
+    const double t581 = 1.0 - t259 * t565;
+    const double t582 = t565 * (t250 * t254);
+    const double t583 = t243 * t574 - t216 * t569 + (t246 * t578 - t252 * t582) - t249 * t581;
+    const double t584 = 1.0 - t260 * t565;
+    const double t585 = t216 * t570 - t243 * t575 - (t246 * t579 + t249 * t582) - t252 * t584;
+    const double t586 = 1.0 / (0.0001 + t216 * t571 - (t243 * t576 + t246 * t580) - (t249 * t583 + t252 * t585));
+    const double t587 = t570 - t586 * (t571 * t585);
+    const double t588 = t567 + t586 * (t571 * t576);
+    const double t589 = t568 + t586 * (t571 * t580);
+    const double t590 = t569 + t586 * (t571 * t583);
+    const double t591 = t274 * t587 - t275 * t588 - (t276 * t589 + t277 * t590);
+    const double t592 = t573 - t586 * (t576 * t576);
+    const double t593 = t572 + t586 * (t576 * t580);
+    const double t594 = t574 + t586 * (t576 * t583);
+    const double t595 = t575 - t586 * (t576 * t585);
+    const double t596 = t275 * t592 - t276 * t593 + (t274 * t595 - t277 * t594);
+    const double t597 = t577 - t586 * (t580 * t580);
+    const double t598 = t578 + t586 * (t580 * t583);
+    const double t599 = t579 - t586 * (t580 * t585);
+    const double t600 = t276 * t597 - t275 * t593 + (t274 * t599 - t277 * t598);
+    const double t601 = t581 - t586 * (t583 * t583);
+    const double t602 = t582 - t586 * (t583 * t585);
+    const double t603 = t277 * t601 - t275 * t594 + (t274 * t602 - t276 * t598);
+    const double t604 = t584 - t586 * (t585 * t585);
+    const double t605 = t275 * t595 + t276 * t599 + (t277 * t602 + t274 * t604);
+    const double t606 = 1.0 / (t276 * t600 + t277 * t603 + (t274 * t605 + (0.0001 + t275 * t596)));
+    const double t607 = t566 - t571 * t571 * t586 - t591 * t591 * t606;
+    const double t608 = tool_yields[0] * tool_yields[0];
+    const double t609 = t607 + t608 * (1.0 - t607);
+    const double t610 = t588 + t606 * (t591 * t596);
+    const double t611 = t608 * t610 - t610;
+    const double t612 = t589 + t606 * (t591 * t600);
+    const double t613 = t608 * t612 - t612;
+    const double t614 = t590 + t606 * (t591 * t603);
+    const double t615 = t608 * t614 - t614;
+    const double t616 = t587 - t606 * (t591 * t605);
+    const double t617 = t616 - t608 * t616;
+    const double t618 = t385 * t615 + t361 * t617 + (t354 * t609 + (t371 * t611 + t378 * t613));
+    const double t619 = t592 - t606 * (t596 * t596);
+    const double t620 = t619 + t608 * (1.0 - t619);
+    const double t621 = t593 + t606 * (t596 * t600);
+    const double t622 = t608 * t621 - t621;
+    const double t623 = t594 + t606 * (t596 * t603);
+    const double t624 = t608 * t623 - t623;
+    const double t625 = t595 - t606 * (t596 * t605);
+    const double t626 = t625 - t608 * t625;
+    const double t627 = t385 * t624 + t361 * t626 + (t371 * t620 + (t354 * t611 + t378 * t622));
+    const double t628 = t597 - t606 * (t600 * t600);
+    const double t629 = t628 + t608 * (1.0 - t628);
+    const double t630 = t598 + t606 * (t600 * t603);
+    const double t631 = t608 * t630 - t630;
+    const double t632 = t599 - t606 * (t600 * t605);
+    const double t633 = t632 - t608 * t632;
+    const double t634 = t385 * t631 + t361 * t633 + (t378 * t629 + (t354 * t613 + t371 * t622));
+    const double t635 = t601 - t606 * (t603 * t603);
+    const double t636 = t635 + t608 * (1.0 - t635);
+    const double t637 = t602 - t606 * (t603 * t605);
+    const double t638 = t637 - t608 * t637;
+    const double t639 = t385 * t636 + (t354 * t615 + t371 * t624 + (t378 * t631 + t361 * t638));
+    const double t640 = t604 - t606 * (t605 * t605);
+    const double t641 = t640 + t608 * (1.0 - t640);
+    const double t642 = t361 * t641 + (t354 * t617 + t371 * t626 + (t378 * t633 + t385 * t638));
+    const double t643 = t385 * t639 + t361 * t642 + (t354 * t618 + (t447 + 0.0001) + (t371 * t627 + t378 * t634));
+    const double t644 = 1.0 / t643;
+    const double t645 = t609 - t618 * t618 * t644;
+    const double t646 = t611 - t644 * (t618 * t627);
+    const double t647 = t613 - t644 * (t618 * t634);
+    const double t648 = t615 - t644 * (t618 * t639);
+    const double t649 = t617 - t644 * (t618 * t642);
+    const double t650 = t644 * (t446 * t618);
+    const double t651 = t456 * t645 + t479 * t650 + (t460 * t649 - t459 * t648 - (t457 * t646 + t458 * t647));
+    const double t652 = t620 - t644 * (t627 * t627);
+    const double t653 = t622 - t644 * (t627 * t634);
+    const double t654 = t624 - t644 * (t627 * t639);
+    const double t655 = t626 - t644 * (t627 * t642);
+    const double t656 = t644 * (t446 * t627);
+    const double t657 = t456 * t646 + t479 * t656 + (t460 * t655 - t459 * t654 - (t457 * t652 + t458 * t653));
+    const double t658 = t629 - t644 * (t634 * t634);
+    const double t659 = t631 - t644 * (t634 * t639);
+    const double t660 = t633 - t644 * (t634 * t642);
+    const double t661 = t644 * (t446 * t634);
+    const double t662 = t456 * t647 + t479 * t661 + (t460 * t660 - t459 * t659 - (t457 * t653 + t458 * t658));
+    const double t663 = t636 - t644 * (t639 * t639);
+    const double t664 = t638 - t644 * (t639 * t642);
+    const double t665 = t644 * (t446 * t639);
+    const double t666 = t456 * t648 + t479 * t665 + (t460 * t664 - t459 * t663 - (t457 * t654 + t458 * t659));
+    const double t667 = t641 - t644 * (t642 * t642);
+    const double t668 = t644 * (t446 * t642);
+    const double t669 = t456 * t649 + t479 * t668 + (t460 * t667 - t459 * t664 - (t457 * t655 + t458 * t660));
+    const double t670 = 1.0 - t447 * t644;
+    const double t671 = t457 * t656 - t456 * t650 - t460 * t668 + (t458 * t661 + t459 * t665 - t479 * t670);
+    const double t672 = t460 * t669 - t459 * t666 + (t456 * t651 + (0.0001 - t479 * t671) - (t457 * t657 + t458 * t662));
+    const double t673 = 1.0 / t672;
+    const double t674 = t645 - t651 * t651 * t673;
+    const double t675 = camera_yields[0] * camera_yields[0];
+    qp202.M[0][0] = t674 + t675 * (t609 - t674);
+    const double t676 = t646 - t673 * (t651 * t657);
+    qp202.M[1][0] = qp202.M[0][1] = t676 + t675 * (t611 - t676);
+    const double t677 = t652 - t673 * (t657 * t657);
+    qp202.M[1][1] = t677 + t675 * (t620 - t677);
+    const double t678 = t647 - t673 * (t651 * t662);
+    qp202.M[2][0] = qp202.M[0][2] = t678 + t675 * (t613 - t678);
+    const double t679 = t653 - t673 * (t657 * t662);
+    qp202.M[2][1] = qp202.M[1][2] = t679 + t675 * (t622 - t679);
+    const double t680 = t658 - t673 * (t662 * t662);
+    qp202.M[2][2] = t680 + t675 * (t629 - t680);
+    const double t681 = t648 - t673 * (t651 * t666);
+    qp202.M[3][0] = qp202.M[0][3] = t681 + t675 * (t615 - t681);
+    const double t682 = t654 - t673 * (t657 * t666);
+    qp202.M[3][1] = qp202.M[1][3] = t682 + t675 * (t624 - t682);
+    const double t683 = t659 - t673 * (t662 * t666);
+    qp202.M[3][2] = qp202.M[2][3] = t683 + t675 * (t631 - t683);
+    const double t684 = t663 - t673 * (t666 * t666);
+    qp202.M[3][3] = t684 + t675 * (t636 - t684);
+    const double t685 = t649 - t673 * (t651 * t669);
+    qp202.M[4][0] = qp202.M[0][4] = t685 + t675 * (t617 - t685);
+    const double t686 = t655 - t673 * (t657 * t669);
+    qp202.M[4][1] = qp202.M[1][4] = t686 + t675 * (t626 - t686);
+    const double t687 = t660 - t673 * (t662 * t669);
+    qp202.M[4][2] = qp202.M[2][4] = t687 + t675 * (t633 - t687);
+    const double t688 = t664 - t673 * (t666 * t669);
+    qp202.M[4][3] = qp202.M[3][4] = t688 + t675 * (t638 - t688);
+    const double t689 = t667 - t673 * (t669 * t669);
+    qp202.M[4][4] = t689 + t675 * (t641 - t689);
+    const double t690 = t650 + t673 * (t651 * t671);
+    qp202.M[5][0] = qp202.M[0][5] = t675 * t690 - t690;
+    const double t691 = t656 + t673 * (t657 * t671);
+    qp202.M[5][1] = qp202.M[1][5] = t675 * t691 - t691;
+    const double t692 = t661 + t673 * (t662 * t671);
+    qp202.M[5][2] = qp202.M[2][5] = t675 * t692 - t692;
+    const double t693 = t665 + t673 * (t666 * t671);
+    qp202.M[5][3] = qp202.M[3][5] = t675 * t693 - t693;
+    const double t694 = t668 + t673 * (t669 * t671);
+    qp202.M[5][4] = qp202.M[4][5] = t675 * t694 - t694;
+    const double t695 = t670 - t673 * (t671 * t671);
+    qp202.M[5][5] = t695 + t675 * (1.0 - t695);
+    qp_solve(&qp202, row204, &solution203);
   }
-}
-
-CASADI_SYMBOL_EXPORT const char* ur6_kinematics_name_out(casadi_int i) {
-  switch (i) {
-    case 0: return "tool_position";
-    case 1: return "camera_value";
-    case 2: return "point_position";
-    case 3: return "link_pose";
-    default: return 0;
-  }
-}
-
-CASADI_SYMBOL_EXPORT const casadi_int* ur6_kinematics_sparsity_in(casadi_int i) {
-  switch (i) {
-    case 0: return casadi_s0;
-    case 1: return casadi_s1;
-    default: return 0;
-  }
-}
-
-CASADI_SYMBOL_EXPORT const casadi_int* ur6_kinematics_sparsity_out(casadi_int i) {
-  switch (i) {
-    case 0: return casadi_s1;
-    case 1: return casadi_s2;
-    case 2: return casadi_s3;
-    case 3: return casadi_s4;
-    default: return 0;
-  }
-}
-
-CASADI_SYMBOL_EXPORT int ur6_kinematics_work(casadi_int *sz_arg, casadi_int* sz_res, casadi_int *sz_iw, casadi_int *sz_w) {
-  if (sz_arg) *sz_arg = 2;
-  if (sz_res) *sz_res = 4;
-  if (sz_iw) *sz_iw = 0;
-  if (sz_w) *sz_w = 0;
-  return 0;
-}
-
-CASADI_SYMBOL_EXPORT int ur6_kinematics_work_bytes(casadi_int *sz_arg, casadi_int* sz_res, casadi_int *sz_iw, casadi_int *sz_w) {
-  if (sz_arg) *sz_arg = 2*sizeof(const casadi_real*);
-  if (sz_res) *sz_res = 4*sizeof(casadi_real*);
-  if (sz_iw) *sz_iw = 0*sizeof(casadi_int);
-  if (sz_w) *sz_w = 0*sizeof(casadi_real);
-  return 0;
-}
-
-/* ur6_jacobians:(q[6],camera_reference[3])->(tool_jacobian[18],camera_jacobian[12],point_jacobian[54]) */
-static int casadi_f1(const casadi_real** arg, casadi_real** res, casadi_int* iw, casadi_real* w, int mem) {
-  casadi_real a00, a01, a02, a03, a04, a05, a06, a07, a08, a09, a10, a11;
-  casadi_real a12, a13, a14, a15, a16, a17, a18, a19, a20, a21, a22, a23;
-  casadi_real a24, a25, a26, a27, a28, a29, a30, a31, a32, a33, a34, a35;
-  casadi_real a36, a37, a38, a39, a40, a41, a42, a43, a44, a45, a46, a47;
-  casadi_real a48, a49, a50, a51, a52, a53, a54, a55, a56, a57, a58, a59;
-  casadi_real a60, a61, a62, a63, a64, a65, a66, a67, a68, a69, a70;
-  a00=-4.2499999999999999e-01;
-  a01=arg[0]? arg[0][0] : 0;
-  a02=sin(a01);
-  a03=arg[0]? arg[0][1] : 0;
-  a04=cos(a03);
-  a05=(a02*a04);
-  a06=(a00*a05);
-  a07=-3.9219999999999999e-01;
-  a08=arg[0]? arg[0][2] : 0;
-  a09=cos(a08);
-  a10=(a05*a09);
-  a03=sin(a03);
-  a11=(a02*a03);
-  a08=sin(a08);
-  a12=(a11*a08);
-  a10=(a10-a12);
-  a12=(a07*a10);
-  a13=1.3330000000000000e-01;
-  a01=cos(a01);
-  a14=(a13*a01);
-  a12=(a12-a14);
-  a12=(a06+a12);
-  a14=-9.9699999999999997e-02;
-  a15=arg[0]? arg[0][3] : 0;
-  a16=sin(a15);
-  a17=(a10*a16);
-  a05=(a05*a08);
-  a11=(a11*a09);
-  a05=(a05+a11);
-  a15=cos(a15);
-  a11=(a05*a15);
-  a17=(a17+a11);
-  a11=(a14*a17);
-  a11=(a12-a11);
-  a18=9.9599999999999994e-02;
-  a10=(a10*a15);
-  a05=(a05*a16);
-  a10=(a10-a05);
-  a05=arg[0]? arg[0][4] : 0;
-  a19=sin(a05);
-  a20=(a10*a19);
-  a05=cos(a05);
-  a21=(a01*a05);
-  a20=(a20+a21);
-  a21=(a18*a20);
-  a21=(a11-a21);
-  a22=(-a21);
-  if (res[0]!=0) res[0][0]=a22;
-  a23=1.6250000000000001e-01;
-  a24=(a00*a03);
-  a25=(a23+a24);
-  a26=(a03*a09);
-  a27=(a04*a08);
-  a26=(a26+a27);
-  a27=(a07*a26);
-  a27=(a25+a27);
-  a28=(a04*a09);
-  a29=(a03*a08);
-  a28=(a28-a29);
-  a29=(a28*a15);
-  a30=(a26*a16);
-  a29=(a29-a30);
-  a30=(a14*a29);
-  a31=(a27+a30);
-  a26=(a26*a15);
-  a28=(a28*a16);
-  a26=(a26+a28);
-  a28=(a26*a19);
-  a32=(a18*a28);
-  a32=(a31-a32);
-  a33=(a32-a23);
-  a34=(a01*a33);
-  a35=(-a34);
-  if (res[0]!=0) res[0][1]=a35;
-  a36=(a32-a25);
-  a37=(a01*a36);
-  a38=(-a37);
-  if (res[0]!=0) res[0][2]=a38;
-  a27=(a32-a27);
-  a39=(a01*a27);
-  a40=(-a39);
-  if (res[0]!=0) res[0][3]=a40;
-  a41=(a32-a31);
-  a42=(a17*a41);
-  a43=(a21-a11);
-  a44=(a29*a43);
-  a42=(a42+a44);
-  if (res[0]!=0) res[0][4]=a42;
-  a44=0.;
-  if (res[0]!=0) res[0][5]=a44;
-  a04=(a01*a04);
-  a00=(a00*a04);
-  a45=(a04*a09);
-  a03=(a01*a03);
-  a46=(a03*a08);
-  a45=(a45-a46);
-  a07=(a07*a45);
-  a13=(a13*a02);
-  a07=(a07+a13);
-  a07=(a00+a07);
-  a13=(a45*a16);
-  a04=(a04*a08);
-  a03=(a03*a09);
-  a04=(a04+a03);
-  a03=(a04*a15);
-  a13=(a13+a03);
-  a14=(a14*a13);
-  a14=(a07-a14);
-  a03=(a02*a05);
-  a45=(a45*a15);
-  a04=(a04*a16);
-  a45=(a45-a04);
-  a04=(a45*a19);
-  a03=(a03-a04);
-  a18=(a18*a03);
-  a04=(a14+a18);
-  if (res[0]!=0) res[0][6]=a04;
-  a33=(a02*a33);
-  a16=(-a33);
-  if (res[0]!=0) res[0][7]=a16;
-  a36=(a02*a36);
-  a15=(-a36);
-  if (res[0]!=0) res[0][8]=a15;
-  a27=(a02*a27);
-  a09=(-a27);
-  if (res[0]!=0) res[0][9]=a09;
-  a08=(a29*a18);
-  a41=(a13*a41);
-  a08=(a08+a41);
-  a41=(-a08);
-  if (res[0]!=0) res[0][10]=a41;
-  if (res[0]!=0) res[0][11]=a44;
-  if (res[0]!=0) res[0][12]=a44;
-  a46=(a02*a21);
-  a47=(a01*a04);
-  a46=(a46+a47);
-  if (res[0]!=0) res[0][13]=a46;
-  a47=(a21-a06);
-  a47=(a02*a47);
-  a48=(a04-a00);
-  a48=(a01*a48);
-  a47=(a47+a48);
-  if (res[0]!=0) res[0][14]=a47;
-  a48=(a21-a12);
-  a48=(a02*a48);
-  a49=(a04-a07);
-  a49=(a01*a49);
-  a48=(a48+a49);
-  if (res[0]!=0) res[0][15]=a48;
-  a43=(a13*a43);
-  a18=(a17*a18);
-  a43=(a43-a18);
-  if (res[0]!=0) res[0][16]=a43;
-  if (res[0]!=0) res[0][17]=a44;
-  a18=2.;
-  a45=(a45*a05);
-  a49=(a02*a19);
-  a45=(a45+a49);
-  a49=arg[0]? arg[0][5] : 0;
-  a50=cos(a49);
-  a51=(a45*a50);
-  a49=sin(a49);
-  a52=(a13*a49);
-  a51=(a51-a52);
-  a52=arg[1]? arg[1][0] : 0;
-  a53=(a52-a04);
-  a54=(a51*a53);
-  a10=(a10*a05);
-  a19=(a01*a19);
-  a10=(a10-a19);
-  a19=(a10*a50);
-  a55=(a17*a49);
-  a19=(a19-a55);
-  a55=arg[1]? arg[1][1] : 0;
-  a21=(a55-a21);
-  a56=(a19*a21);
-  a54=(a54+a56);
-  a26=(a26*a05);
-  a05=(a26*a50);
-  a56=(a29*a49);
-  a05=(a05+a56);
-  a56=arg[1]? arg[1][2] : 0;
-  a56=(a56-a32);
-  a32=(a05*a56);
-  a54=(a54+a32);
-  a32=casadi_sq(a54);
-  a57=(a29*a50);
-  a26=(a26*a49);
-  a57=(a57-a26);
-  a26=(a57*a56);
-  a45=(a45*a49);
-  a58=(a13*a50);
-  a45=(a45+a58);
-  a58=(a45*a53);
-  a10=(a10*a49);
-  a50=(a17*a50);
-  a10=(a10+a50);
-  a50=(a10*a21);
-  a58=(a58+a50);
-  a26=(a26-a58);
-  a58=casadi_sq(a26);
-  a32=(a32+a58);
-  a58=(a03*a53);
-  a50=(a20*a21);
-  a58=(a58-a50);
-  a50=(a28*a56);
-  a58=(a58-a50);
-  a50=casadi_sq(a58);
-  a32=(a32+a50);
-  a50=9.9999999999999998e-13;
-  a32=casadi_fmax(a32,a50);
-  a32=sqrt(a32);
-  a58=(a32+a58);
-  a50=(a50*a32);
-  a58=casadi_fmax(a58,a50);
-  a50=(a18/a58);
-  a49=1.;
-  a59=(a54/a32);
-  a54=(2.*a54);
-  a54=(a54/a58);
-  a54=(a54/a18);
-  a60=(a59*a54);
-  a60=(a49-a60);
-  a60=(a50*a60);
-  a61=(a51*a55);
-  a62=(a19*a52);
-  a61=(a61-a62);
-  a62=(a60*a61);
-  a63=(2.*a26);
-  a63=(a63/a58);
-  a63=(a63/a18);
-  a18=(a59*a63);
-  a18=(a50*a18);
-  a58=(a10*a52);
-  a64=(a45*a55);
-  a58=(a58-a64);
-  a64=(a18*a58);
-  a62=(a62-a64);
-  a59=(a50*a59);
-  a55=(a03*a55);
-  a52=(a20*a52);
-  a55=(a55+a52);
-  a52=(a59*a55);
-  a62=(a62-a52);
-  if (res[1]!=0) res[1][0]=a62;
-  a62=(a56*a01);
-  a34=(a34+a62);
-  a52=(a51*a34);
-  a64=(a56*a02);
-  a33=(a33+a64);
-  a65=(a19*a33);
-  a52=(a52+a65);
-  a65=(a21*a02);
-  a66=(a53*a01);
-  a65=(a65+a66);
-  a66=(a46+a65);
-  a67=(a05*a66);
-  a52=(a52-a67);
-  a67=(a60*a52);
-  a68=(a45*a34);
-  a69=(a10*a33);
-  a68=(a68+a69);
-  a69=(a57*a66);
-  a68=(a68+a69);
-  a69=(a18*a68);
-  a67=(a67+a69);
-  a34=(a03*a34);
-  a33=(a20*a33);
-  a34=(a34-a33);
-  a66=(a28*a66);
-  a34=(a34+a66);
-  a66=(a59*a34);
-  a67=(a67-a66);
-  if (res[1]!=0) res[1][1]=a67;
-  a37=(a37+a62);
-  a67=(a51*a37);
-  a36=(a36+a64);
-  a66=(a19*a36);
-  a67=(a67+a66);
-  a66=(a47+a65);
-  a33=(a05*a66);
-  a67=(a67-a33);
-  a33=(a60*a67);
-  a69=(a45*a37);
-  a70=(a10*a36);
-  a69=(a69+a70);
-  a70=(a57*a66);
-  a69=(a69+a70);
-  a70=(a18*a69);
-  a33=(a33+a70);
-  a37=(a03*a37);
-  a36=(a20*a36);
-  a37=(a37-a36);
-  a66=(a28*a66);
-  a37=(a37+a66);
-  a66=(a59*a37);
-  a33=(a33-a66);
-  if (res[1]!=0) res[1][2]=a33;
-  a39=(a39+a62);
-  a62=(a51*a39);
-  a27=(a27+a64);
-  a64=(a19*a27);
-  a62=(a62+a64);
-  a65=(a48+a65);
-  a64=(a05*a65);
-  a62=(a62-a64);
-  a64=(a60*a62);
-  a33=(a45*a39);
-  a66=(a10*a27);
-  a33=(a33+a66);
-  a66=(a57*a65);
-  a33=(a33+a66);
-  a66=(a18*a33);
-  a64=(a64+a66);
-  a39=(a03*a39);
-  a27=(a20*a27);
-  a39=(a39-a27);
-  a65=(a28*a65);
-  a39=(a39+a65);
-  a65=(a59*a39);
-  a64=(a64-a65);
-  if (res[1]!=0) res[1][3]=a64;
-  a64=(a56*a13);
-  a65=(a53*a29);
-  a64=(a64+a65);
-  a08=(a08+a64);
-  a64=(a19*a08);
-  a65=(a56*a17);
-  a29=(a21*a29);
-  a65=(a65+a29);
-  a65=(a42+a65);
-  a29=(a51*a65);
-  a64=(a64-a29);
-  a17=(a53*a17);
-  a13=(a21*a13);
-  a17=(a17-a13);
-  a17=(a17-a43);
-  a13=(a05*a17);
-  a64=(a64+a13);
-  a13=(a60*a64);
-  a29=(a45*a65);
-  a27=(a10*a08);
-  a29=(a29-a27);
-  a27=(a57*a17);
-  a29=(a29+a27);
-  a27=(a18*a29);
-  a13=(a13-a27);
-  a65=(a03*a65);
-  a08=(a20*a08);
-  a65=(a65+a08);
-  a17=(a28*a17);
-  a65=(a65+a17);
-  a17=(a59*a65);
-  a13=(a13+a17);
-  if (res[1]!=0) res[1][4]=a13;
-  a13=(a56*a20);
-  a17=(a21*a28);
-  a13=(a13-a17);
-  a51=(a51*a13);
-  a56=(a56*a03);
-  a17=(a53*a28);
-  a56=(a56+a17);
-  a19=(a19*a56);
-  a51=(a51+a19);
-  a21=(a21*a03);
-  a53=(a53*a20);
-  a21=(a21+a53);
-  a05=(a05*a21);
-  a51=(a51-a05);
-  a60=(a60*a51);
-  a45=(a45*a13);
-  a10=(a10*a56);
-  a45=(a45+a10);
-  a57=(a57*a21);
-  a45=(a45+a57);
-  a18=(a18*a45);
-  a60=(a60+a18);
-  a03=(a03*a13);
-  a20=(a20*a56);
-  a03=(a03-a20);
-  a28=(a28*a21);
-  a03=(a03+a28);
-  a59=(a59*a03);
-  a60=(a60-a59);
-  if (res[1]!=0) res[1][5]=a60;
-  a26=(a26/a32);
-  a63=(a26*a63);
-  a49=(a49-a63);
-  a49=(a50*a49);
-  a58=(a49*a58);
-  a54=(a26*a54);
-  a54=(a50*a54);
-  a61=(a54*a61);
-  a58=(a58-a61);
-  a50=(a50*a26);
-  a55=(a50*a55);
-  a58=(a58-a55);
-  if (res[1]!=0) res[1][6]=a58;
-  a52=(a54*a52);
-  a68=(a49*a68);
-  a52=(a52+a68);
-  a34=(a50*a34);
-  a52=(a52+a34);
-  a52=(-a52);
-  if (res[1]!=0) res[1][7]=a52;
-  a67=(a54*a67);
-  a69=(a49*a69);
-  a67=(a67+a69);
-  a37=(a50*a37);
-  a67=(a67+a37);
-  a67=(-a67);
-  if (res[1]!=0) res[1][8]=a67;
-  a62=(a54*a62);
-  a33=(a49*a33);
-  a62=(a62+a33);
-  a39=(a50*a39);
-  a62=(a62+a39);
-  a62=(-a62);
-  if (res[1]!=0) res[1][9]=a62;
-  a29=(a49*a29);
-  a64=(a54*a64);
-  a29=(a29-a64);
-  a65=(a50*a65);
-  a29=(a29+a65);
-  if (res[1]!=0) res[1][10]=a29;
-  a54=(a54*a51);
-  a49=(a49*a45);
-  a54=(a54+a49);
-  a50=(a50*a03);
-  a54=(a54+a50);
-  a54=(-a54);
-  if (res[1]!=0) res[1][11]=a54;
-  a54=(-a06);
-  if (res[2]!=0) res[2][0]=a54;
-  a54=(a01*a24);
-  a54=(-a54);
-  if (res[2]!=0) res[2][1]=a54;
-  if (res[2]!=0) res[2][2]=a44;
-  if (res[2]!=0) res[2][3]=a44;
-  if (res[2]!=0) res[2][4]=a44;
-  if (res[2]!=0) res[2][5]=a44;
-  if (res[2]!=0) res[2][6]=a00;
-  a24=(a02*a24);
-  a24=(-a24);
-  if (res[2]!=0) res[2][7]=a24;
-  if (res[2]!=0) res[2][8]=a44;
-  if (res[2]!=0) res[2][9]=a44;
-  if (res[2]!=0) res[2][10]=a44;
-  if (res[2]!=0) res[2][11]=a44;
-  if (res[2]!=0) res[2][12]=a44;
-  a24=(a02*a06);
-  a54=(a01*a00);
-  a24=(a24+a54);
-  if (res[2]!=0) res[2][13]=a24;
-  if (res[2]!=0) res[2][14]=a44;
-  if (res[2]!=0) res[2][15]=a44;
-  if (res[2]!=0) res[2][16]=a44;
-  if (res[2]!=0) res[2][17]=a44;
-  a24=(-a11);
-  if (res[2]!=0) res[2][18]=a24;
-  a23=(a31-a23);
-  a24=(a01*a23);
-  a24=(-a24);
-  if (res[2]!=0) res[2][19]=a24;
-  a31=(a31-a25);
-  a25=(a01*a31);
-  a25=(-a25);
-  if (res[2]!=0) res[2][20]=a25;
-  a25=(a01*a30);
-  a25=(-a25);
-  if (res[2]!=0) res[2][21]=a25;
-  if (res[2]!=0) res[2][22]=a44;
-  if (res[2]!=0) res[2][23]=a44;
-  if (res[2]!=0) res[2][24]=a14;
-  a23=(a02*a23);
-  a23=(-a23);
-  if (res[2]!=0) res[2][25]=a23;
-  a31=(a02*a31);
-  a31=(-a31);
-  if (res[2]!=0) res[2][26]=a31;
-  a30=(a02*a30);
-  a30=(-a30);
-  if (res[2]!=0) res[2][27]=a30;
-  if (res[2]!=0) res[2][28]=a44;
-  if (res[2]!=0) res[2][29]=a44;
-  if (res[2]!=0) res[2][30]=a44;
-  a30=(a02*a11);
-  a31=(a01*a14);
-  a30=(a30+a31);
-  if (res[2]!=0) res[2][31]=a30;
-  a06=(a11-a06);
-  a06=(a02*a06);
-  a00=(a14-a00);
-  a00=(a01*a00);
-  a06=(a06+a00);
-  if (res[2]!=0) res[2][32]=a06;
-  a11=(a11-a12);
-  a02=(a02*a11);
-  a14=(a14-a07);
-  a01=(a01*a14);
-  a02=(a02+a01);
-  if (res[2]!=0) res[2][33]=a02;
-  if (res[2]!=0) res[2][34]=a44;
-  if (res[2]!=0) res[2][35]=a44;
-  if (res[2]!=0) res[2][36]=a22;
-  if (res[2]!=0) res[2][37]=a35;
-  if (res[2]!=0) res[2][38]=a38;
-  if (res[2]!=0) res[2][39]=a40;
-  if (res[2]!=0) res[2][40]=a42;
-  if (res[2]!=0) res[2][41]=a44;
-  if (res[2]!=0) res[2][42]=a04;
-  if (res[2]!=0) res[2][43]=a16;
-  if (res[2]!=0) res[2][44]=a15;
-  if (res[2]!=0) res[2][45]=a09;
-  if (res[2]!=0) res[2][46]=a41;
-  if (res[2]!=0) res[2][47]=a44;
-  if (res[2]!=0) res[2][48]=a44;
-  if (res[2]!=0) res[2][49]=a46;
-  if (res[2]!=0) res[2][50]=a47;
-  if (res[2]!=0) res[2][51]=a48;
-  if (res[2]!=0) res[2][52]=a43;
-  if (res[2]!=0) res[2][53]=a44;
-  return 0;
-}
-
-CASADI_SYMBOL_EXPORT int ur6_jacobians(const casadi_real** arg, casadi_real** res, casadi_int* iw, casadi_real* w, int mem){
-  return casadi_f1(arg, res, iw, w, mem);
-}
-
-CASADI_SYMBOL_EXPORT int ur6_jacobians_checkout(void) {
-  return 0;
-}
-
-CASADI_SYMBOL_EXPORT void ur6_jacobians_release(int mem) {
-}
-
-CASADI_SYMBOL_EXPORT void ur6_jacobians_incref(void) {
-}
-
-CASADI_SYMBOL_EXPORT void ur6_jacobians_decref(void) {
-}
-
-CASADI_SYMBOL_EXPORT casadi_int ur6_jacobians_n_in(void) { return 2;}
-
-CASADI_SYMBOL_EXPORT casadi_int ur6_jacobians_n_out(void) { return 3;}
-
-CASADI_SYMBOL_EXPORT casadi_real ur6_jacobians_default_in(casadi_int i) {
-  switch (i) {
-    default: return 0;
-  }
-}
-
-CASADI_SYMBOL_EXPORT const char* ur6_jacobians_name_in(casadi_int i) {
-  switch (i) {
-    case 0: return "q";
-    case 1: return "camera_reference";
-    default: return 0;
-  }
-}
-
-CASADI_SYMBOL_EXPORT const char* ur6_jacobians_name_out(casadi_int i) {
-  switch (i) {
-    case 0: return "tool_jacobian";
-    case 1: return "camera_jacobian";
-    case 2: return "point_jacobian";
-    default: return 0;
-  }
-}
-
-CASADI_SYMBOL_EXPORT const casadi_int* ur6_jacobians_sparsity_in(casadi_int i) {
-  switch (i) {
-    case 0: return casadi_s0;
-    case 1: return casadi_s1;
-    default: return 0;
-  }
-}
-
-CASADI_SYMBOL_EXPORT const casadi_int* ur6_jacobians_sparsity_out(casadi_int i) {
-  switch (i) {
-    case 0: return casadi_s5;
-    case 1: return casadi_s6;
-    case 2: return casadi_s7;
-    default: return 0;
-  }
-}
-
-CASADI_SYMBOL_EXPORT int ur6_jacobians_work(casadi_int *sz_arg, casadi_int* sz_res, casadi_int *sz_iw, casadi_int *sz_w) {
-  if (sz_arg) *sz_arg = 2;
-  if (sz_res) *sz_res = 3;
-  if (sz_iw) *sz_iw = 0;
-  if (sz_w) *sz_w = 0;
-  return 0;
-}
-
-CASADI_SYMBOL_EXPORT int ur6_jacobians_work_bytes(casadi_int *sz_arg, casadi_int* sz_res, casadi_int *sz_iw, casadi_int *sz_w) {
-  if (sz_arg) *sz_arg = 2*sizeof(const casadi_real*);
-  if (sz_res) *sz_res = 3*sizeof(casadi_real*);
-  if (sz_iw) *sz_iw = 0*sizeof(casadi_int);
-  if (sz_w) *sz_w = 0*sizeof(casadi_real);
-  return 0;
-}
-
-/* ur6_step_part_0:(i0[6],i1[6],i2[2],i3[2],i4,i5[3],i6[3],i7[9],i8,i9,i10[3],i11[3],i12[4],i13,i14,i15[6],i16,i17,i18[6],i19,i20)->(o0[6],o1[21],o2[36],o3[6],o4[6],o5[6],o6[37]) */
-static int casadi_f3(const casadi_real** arg, casadi_real** res, casadi_int* iw, casadi_real* w, int mem) {
-  casadi_real a000, a001, a002, a003, a004, a005, a006, a007, a008, a009, a010, a011;
-  casadi_real a012, a013, a014, a015, a016, a017, a018, a019, a020, a021, a022, a023;
-  casadi_real a024, a025, a026, a027, a028, a029, a030, a031, a032, a033, a034, a035;
-  casadi_real a036, a037, a038, a039, a040, a041, a042, a043, a044, a045, a046, a047;
-  casadi_real a048, a049, a050, a051, a052, a053, a054, a055, a056, a057, a058, a059;
-  casadi_real a060, a061, a062, a063, a064, a065, a066, a067, a068, a069, a070, a071;
-  casadi_real a072, a073, a074, a075, a076, a077, a078, a079, a080, a081, a082, a083;
-  casadi_real a084, a085, a086, a087, a088, a089, a090, a091, a092, a093, a094, a095;
-  casadi_real a096, a097, a098, a099, a100, a101, a102, a103, a104, a105, a106, a107;
-  casadi_real a108, a109, a110, a111, a112, a113, a114, a115, a116, a117, a118, a119;
-  casadi_real a120, a121, a122, a123, a124;
-  a000=-4.2499999999999999e-01;
-  a001=arg[0]? arg[0][0] : 0;
-  a002=cos(a001);
-  a003=arg[0]? arg[0][1] : 0;
-  a004=cos(a003);
-  a005=(a002*a004);
-  a006=(a000*a005);
-  a007=-3.9219999999999999e-01;
-  a008=arg[0]? arg[0][2] : 0;
-  a009=cos(a008);
-  a010=(a005*a009);
-  a011=sin(a003);
-  a012=(a002*a011);
-  a013=sin(a008);
-  a014=(a012*a013);
-  a010=(a010-a014);
-  a014=(a007*a010);
-  a015=1.3330000000000000e-01;
-  a016=sin(a001);
-  a017=(a015*a016);
-  a014=(a014+a017);
-  a014=(a006+a014);
-  a017=-9.9699999999999997e-02;
-  a018=arg[0]? arg[0][3] : 0;
-  a019=sin(a018);
-  a020=(a010*a019);
-  a005=(a005*a013);
-  a012=(a012*a009);
-  a005=(a005+a012);
-  a012=cos(a018);
-  a021=(a005*a012);
-  a020=(a020+a021);
-  a021=(a017*a020);
-  a021=(a014-a021);
-  a022=9.9599999999999994e-02;
-  a023=arg[0]? arg[0][4] : 0;
-  a024=cos(a023);
-  a025=(a016*a024);
-  a010=(a010*a012);
-  a005=(a005*a019);
-  a010=(a010-a005);
-  a005=sin(a023);
-  a026=(a010*a005);
-  a025=(a025-a026);
-  a026=(a022*a025);
-  a027=(a021+a026);
-  a028=arg[6]? arg[6][1] : 0;
-  a029=arg[7]? arg[7][3] : 0;
-  a030=arg[5]? arg[5][0] : 0;
-  a030=(a030-a027);
-  a029=(a029*a030);
-  a031=arg[7]? arg[7][4] : 0;
-  a032=arg[5]? arg[5][1] : 0;
-  a033=(a016*a004);
-  a034=(a000*a033);
-  a035=(a033*a009);
-  a036=(a016*a011);
-  a037=(a036*a013);
-  a035=(a035-a037);
-  a037=(a007*a035);
-  a015=(a015*a002);
-  a037=(a037-a015);
-  a037=(a034+a037);
-  a015=(a035*a019);
-  a033=(a033*a013);
-  a036=(a036*a009);
-  a033=(a033+a036);
-  a036=(a033*a012);
-  a015=(a015+a036);
-  a036=(a017*a015);
-  a036=(a037-a036);
-  a035=(a035*a012);
-  a033=(a033*a019);
-  a035=(a035-a033);
-  a033=(a035*a005);
-  a038=(a002*a024);
-  a033=(a033+a038);
-  a038=(a022*a033);
-  a038=(a036-a038);
-  a032=(a032-a038);
-  a031=(a031*a032);
-  a029=(a029+a031);
-  a031=arg[7]? arg[7][5] : 0;
-  a039=arg[5]? arg[5][2] : 0;
-  a040=1.6250000000000001e-01;
-  a000=(a000*a011);
-  a041=(a040+a000);
-  a042=(a011*a009);
-  a043=(a004*a013);
-  a042=(a042+a043);
-  a007=(a007*a042);
-  a007=(a041+a007);
-  a004=(a004*a009);
-  a011=(a011*a013);
-  a004=(a004-a011);
-  a011=(a004*a012);
-  a013=(a042*a019);
-  a011=(a011-a013);
-  a017=(a017*a011);
-  a013=(a007+a017);
-  a042=(a042*a012);
-  a004=(a004*a019);
-  a042=(a042+a004);
-  a004=(a042*a005);
-  a022=(a022*a004);
-  a022=(a013-a022);
-  a039=(a039-a022);
-  a031=(a031*a039);
-  a029=(a029+a031);
-  a028=(a028+a029);
-  a029=(a022-a040);
-  a031=(a016*a029);
-  a029=(a002*a029);
-  a019=(a031*a029);
-  a012=(a027*a038);
-  a019=(a019-a012);
-  a012=(a022-a041);
-  a009=(a016*a012);
-  a012=(a002*a012);
-  a043=(a009*a012);
-  a019=(a019+a043);
-  a007=(a022-a007);
-  a043=(a016*a007);
-  a007=(a002*a007);
-  a044=(a043*a007);
-  a019=(a019+a044);
-  a044=(a011*a026);
-  a045=(a022-a013);
-  a046=(a020*a045);
-  a044=(a044+a046);
-  a045=(a015*a045);
-  a046=(a038-a036);
-  a047=(a011*a046);
-  a045=(a045+a047);
-  a047=(a044*a045);
-  a019=(a019-a047);
-  a047=casadi_sq(a038);
-  a048=casadi_sq(a029);
-  a049=(a047+a048);
-  a050=casadi_sq(a012);
-  a049=(a049+a050);
-  a051=casadi_sq(a007);
-  a049=(a049+a051);
-  a052=casadi_sq(a045);
-  a049=(a049+a052);
-  a053=arg[8]? arg[8][0] : 0;
-  a053=casadi_sq(a053);
-  a054=0.;
-  a055=1.;
-  a056=1.4210854715202004e-14;
-  a057=(a056*a049);
-  a058=9.9999999999999998e-201;
-  a059=(a057+a058);
-  a059=casadi_fmax(a049,a059);
-  a060=(1./a059);
-  a061=(a019/a059);
-  a062=casadi_sq(a061);
-  a063=(a062+a055);
-  a064=casadi_sq(a027);
-  a065=casadi_sq(a031);
-  a064=(a064+a065);
-  a065=casadi_sq(a009);
-  a064=(a064+a065);
-  a065=casadi_sq(a043);
-  a064=(a064+a065);
-  a065=casadi_sq(a044);
-  a064=(a064+a065);
-  a062=(a062*a059);
-  a062=(a064-a062);
-  a065=(a056*a064);
-  a066=(a065+a058);
-  a062=casadi_fmax(a062,a066);
-  a063=(a063/a062);
-  a060=(a060+a063);
-  a046=(a020*a046);
-  a026=(a015*a026);
-  a046=(a046-a026);
-  a026=(a046*a045);
-  a063=(a016*a038);
-  a066=(a002*a027);
-  a063=(a063+a066);
-  a066=(a063*a029);
-  a067=(a038-a034);
-  a067=(a016*a067);
-  a068=(a027-a006);
-  a068=(a002*a068);
-  a067=(a067+a068);
-  a068=(a067*a012);
-  a066=(a066+a068);
-  a068=(a038-a037);
-  a068=(a016*a068);
-  a069=(a027-a014);
-  a069=(a002*a069);
-  a068=(a068+a069);
-  a069=(a068*a007);
-  a066=(a066+a069);
-  a026=(a026-a066);
-  a066=(a026/a059);
-  a069=(a063*a031);
-  a070=(a067*a009);
-  a069=(a069+a070);
-  a070=(a068*a043);
-  a069=(a069+a070);
-  a070=(a046*a044);
-  a069=(a069+a070);
-  a070=(a026*a061);
-  a070=(a069+a070);
-  a070=(a070/a062);
-  a061=(a070*a061);
-  a061=(a066+a061);
-  a061=casadi_sq(a061);
-  a070=casadi_sq(a070);
-  a061=(a061+a070);
-  a061=(a061+a055);
-  a071=casadi_sq(a063);
-  a072=casadi_sq(a067);
-  a071=(a071+a072);
-  a072=casadi_sq(a068);
-  a071=(a071+a072);
-  a072=casadi_sq(a046);
-  a071=(a071+a072);
-  a066=casadi_sq(a066);
-  a066=(a066*a059);
-  a070=(a070*a062);
-  a066=(a066+a070);
-  a066=(a071-a066);
-  a070=(a056*a071);
-  a062=(a070+a058);
-  a066=casadi_fmax(a066,a062);
-  a061=(a061/a066);
-  a060=(a060+a061);
-  a060=(1./a060);
-  a061=arg[9]? arg[9][0] : 0;
-  a061=casadi_sq(a061);
-  a061=(a060/a061);
-  a061=(a055-a061);
-  a061=casadi_fmax(a054,a061);
-  a061=casadi_sq(a061);
-  a053=(a053*a061);
-  a066=9.3132257461547852e-10;
-  a062=(a049+a064);
-  a062=(a062+a071);
-  a059=(a066*a062);
-  a072=3.7252902984619141e-09;
-  a062=(a072*a062);
-  a062=(a062+a058);
-  a060=(a060/a062);
-  a060=(a055-a060);
-  a060=casadi_fmax(a054,a060);
-  a060=casadi_sq(a060);
-  a059=(a059*a060);
-  a053=casadi_fmax(a053,a059);
-  a059=(a049+a053);
-  a057=(a053+a057);
-  a059=casadi_fmax(a059,a057);
-  a019=(a019/a059);
-  a057=arg[6]? arg[6][0] : 0;
-  a060=arg[7]? arg[7][0] : 0;
-  a060=(a060*a030);
-  a062=arg[7]? arg[7][1] : 0;
-  a062=(a062*a032);
-  a060=(a060+a062);
-  a062=arg[7]? arg[7][2] : 0;
-  a062=(a062*a039);
-  a060=(a060+a062);
-  a057=(a057+a060);
-  a060=(a019*a057);
-  a028=(a028-a060);
-  a060=(a064+a053);
-  a062=casadi_sq(a019);
-  a062=(a062*a059);
-  a060=(a060-a062);
-  a065=(a053+a065);
-  a060=casadi_fmax(a060,a065);
-  a065=(a028/a060);
-  a062=(a026*a019);
-  a069=(a069+a062);
-  a069=(a069/a060);
-  a062=arg[6]? arg[6][2] : 0;
-  a073=arg[7]? arg[7][6] : 0;
-  a073=(a073*a030);
-  a074=arg[7]? arg[7][7] : 0;
-  a074=(a074*a032);
-  a073=(a073+a074);
-  a074=arg[7]? arg[7][8] : 0;
-  a074=(a074*a039);
-  a073=(a073+a074);
-  a062=(a062+a073);
-  a026=(a026/a059);
-  a073=(a026*a057);
-  a028=(a069*a028);
-  a073=(a073-a028);
-  a062=(a062-a073);
-  a073=(a071+a053);
-  a028=casadi_sq(a026);
-  a028=(a028*a059);
-  a074=casadi_sq(a069);
-  a074=(a074*a060);
-  a028=(a028+a074);
-  a073=(a073-a028);
-  a053=(a053+a070);
-  a073=casadi_fmax(a073,a053);
-  a062=(a062/a073);
-  a069=(a069*a062);
-  a065=(a065+a069);
-  a069=(a027*a065);
-  a057=(a057/a059);
-  a019=(a019*a065);
-  a026=(a026*a062);
-  a019=(a019+a026);
-  a057=(a057-a019);
-  a019=(a038*a057);
-  a069=(a069-a019);
-  a019=2.;
-  a010=(a010*a024);
-  a026=(a016*a005);
-  a010=(a010+a026);
-  a026=arg[0]? arg[0][5] : 0;
-  a059=cos(a026);
-  a073=(a010*a059);
-  a053=sin(a026);
-  a070=(a020*a053);
-  a073=(a073-a070);
-  a070=arg[10]? arg[10][0] : 0;
-  a028=(a070-a027);
-  a074=(a073*a028);
-  a035=(a035*a024);
-  a005=(a002*a005);
-  a035=(a035-a005);
-  a005=(a035*a059);
-  a060=(a015*a053);
-  a005=(a005-a060);
-  a060=arg[10]? arg[10][1] : 0;
-  a075=(a060-a038);
-  a076=(a005*a075);
-  a074=(a074+a076);
-  a042=(a042*a024);
-  a024=(a042*a059);
-  a076=(a011*a053);
-  a024=(a024+a076);
-  a076=arg[10]? arg[10][2] : 0;
-  a076=(a076-a022);
-  a077=(a024*a076);
-  a074=(a074+a077);
-  a077=casadi_sq(a074);
-  a078=(a011*a059);
-  a042=(a042*a053);
-  a078=(a078-a042);
-  a042=(a078*a076);
-  a010=(a010*a053);
-  a079=(a020*a059);
-  a010=(a010+a079);
-  a079=(a010*a028);
-  a035=(a035*a053);
-  a059=(a015*a059);
-  a035=(a035+a059);
-  a059=(a035*a075);
-  a079=(a079+a059);
-  a042=(a042-a079);
-  a079=casadi_sq(a042);
-  a077=(a077+a079);
-  a079=(a025*a028);
-  a059=(a033*a075);
-  a079=(a079-a059);
-  a059=(a004*a076);
-  a079=(a079-a059);
-  a059=casadi_sq(a079);
-  a077=(a077+a059);
-  a059=9.9999999999999998e-13;
-  a077=casadi_fmax(a077,a059);
-  a077=sqrt(a077);
-  a079=(a077+a079);
-  a059=(a059*a077);
-  a079=casadi_fmax(a079,a059);
-  a059=(a019/a079);
-  a053=(a074/a077);
-  a074=(2.*a074);
-  a074=(a074/a079);
-  a080=(a074/a019);
-  a081=(a053*a080);
-  a081=(a055-a081);
-  a081=(a059*a081);
-  a082=(a073*a060);
-  a083=(a005*a070);
-  a082=(a082-a083);
-  a083=(a081*a082);
-  a084=(2.*a042);
-  a084=(a084/a079);
-  a019=(a084/a019);
-  a079=(a053*a019);
-  a079=(a059*a079);
-  a085=(a035*a070);
-  a086=(a010*a060);
-  a085=(a085-a086);
-  a086=(a079*a085);
-  a083=(a083-a086);
-  a053=(a059*a053);
-  a060=(a025*a060);
-  a070=(a033*a070);
-  a060=(a060+a070);
-  a070=(a053*a060);
-  a083=(a083-a070);
-  a070=(a076*a020);
-  a086=(a028*a011);
-  a070=(a070+a086);
-  a070=(a044+a070);
-  a086=(a005*a070);
-  a087=(a076*a015);
-  a011=(a075*a011);
-  a087=(a087+a011);
-  a087=(a045+a087);
-  a011=(a073*a087);
-  a086=(a086-a011);
-  a015=(a028*a015);
-  a020=(a075*a020);
-  a015=(a015-a020);
-  a015=(a015-a046);
-  a020=(a024*a015);
-  a086=(a086+a020);
-  a020=(a081*a086);
-  a011=(a010*a087);
-  a088=(a035*a070);
-  a011=(a011-a088);
-  a088=(a078*a015);
-  a011=(a011+a088);
-  a088=(a079*a011);
-  a020=(a020-a088);
-  a087=(a025*a087);
-  a070=(a033*a070);
-  a087=(a087+a070);
-  a015=(a004*a015);
-  a087=(a087+a015);
-  a015=(a053*a087);
-  a020=(a020+a015);
-  a015=(a045*a020);
-  a070=(a038*a083);
-  a088=(a076*a002);
-  a089=(a029+a088);
-  a090=(a073*a089);
-  a091=(a076*a016);
-  a092=(a031+a091);
-  a093=(a005*a092);
-  a090=(a090+a093);
-  a093=(a075*a016);
-  a094=(a028*a002);
-  a093=(a093+a094);
-  a094=(a063+a093);
-  a095=(a024*a094);
-  a090=(a090-a095);
-  a095=(a081*a090);
-  a096=(a010*a089);
-  a097=(a035*a092);
-  a096=(a096+a097);
-  a097=(a078*a094);
-  a096=(a096+a097);
-  a097=(a079*a096);
-  a095=(a095+a097);
-  a089=(a025*a089);
-  a092=(a033*a092);
-  a089=(a089-a092);
-  a094=(a004*a094);
-  a089=(a089+a094);
-  a094=(a053*a089);
-  a095=(a095-a094);
-  a094=(a029*a095);
-  a070=(a070+a094);
-  a094=(a012+a088);
-  a092=(a073*a094);
-  a097=(a009+a091);
-  a098=(a005*a097);
-  a092=(a092+a098);
-  a098=(a067+a093);
-  a099=(a024*a098);
-  a092=(a092-a099);
-  a099=(a081*a092);
-  a100=(a010*a094);
-  a101=(a035*a097);
-  a100=(a100+a101);
-  a101=(a078*a098);
-  a100=(a100+a101);
-  a101=(a079*a100);
-  a099=(a099+a101);
-  a094=(a025*a094);
-  a097=(a033*a097);
-  a094=(a094-a097);
-  a098=(a004*a098);
-  a094=(a094+a098);
-  a098=(a053*a094);
-  a099=(a099-a098);
-  a098=(a012*a099);
-  a070=(a070+a098);
-  a088=(a007+a088);
-  a098=(a073*a088);
-  a091=(a043+a091);
-  a097=(a005*a091);
-  a098=(a098+a097);
-  a093=(a068+a093);
-  a097=(a024*a093);
-  a098=(a098-a097);
-  a097=(a081*a098);
-  a101=(a010*a088);
-  a102=(a035*a091);
-  a101=(a101+a102);
-  a102=(a078*a093);
-  a101=(a101+a102);
-  a102=(a079*a101);
-  a097=(a097+a102);
-  a088=(a025*a088);
-  a091=(a033*a091);
-  a088=(a088-a091);
-  a093=(a004*a093);
-  a088=(a088+a093);
-  a093=(a053*a088);
-  a097=(a097-a093);
-  a093=(a007*a097);
-  a070=(a070+a093);
-  a015=(a015-a070);
-  a070=1.2924697071141057e-26;
-  a093=(a070*a049);
-  a093=(a093+a058);
-  a093=casadi_fmax(a049,a093);
-  a015=(a015/a093);
-  a091=(a038*a015);
-  a091=(a083+a091);
-  a102=(a029*a031);
-  a103=(a038*a027);
-  a102=(a102-a103);
-  a103=(a012*a009);
-  a102=(a102+a103);
-  a103=(a007*a043);
-  a102=(a102+a103);
-  a103=(a045*a044);
-  a102=(a102-a103);
-  a102=(a102/a093);
-  a103=(a038*a102);
-  a103=(a027+a103);
-  a104=(a103*a091);
-  a105=(a029*a102);
-  a105=(a105-a031);
-  a106=(a029*a015);
-  a106=(a095+a106);
-  a107=(a105*a106);
-  a104=(a104+a107);
-  a107=(a012*a102);
-  a107=(a107-a009);
-  a108=(a012*a015);
-  a108=(a099+a108);
-  a109=(a107*a108);
-  a104=(a104+a109);
-  a109=(a007*a102);
-  a109=(a109-a043);
-  a110=(a007*a015);
-  a110=(a097+a110);
-  a111=(a109*a110);
-  a104=(a104+a111);
-  a102=(a045*a102);
-  a102=(a044+a102);
-  a015=(a045*a015);
-  a015=(a020-a015);
-  a111=(a102*a015);
-  a104=(a104-a111);
-  a111=casadi_sq(a103);
-  a112=casadi_sq(a105);
-  a111=(a111+a112);
-  a112=casadi_sq(a107);
-  a111=(a111+a112);
-  a112=casadi_sq(a109);
-  a111=(a111+a112);
-  a112=casadi_sq(a102);
-  a111=(a111+a112);
-  a064=(a070*a064);
-  a064=(a064+a058);
-  a111=casadi_fmax(a111,a064);
-  a104=(a104/a111);
-  a064=(a103*a104);
-  a091=(a091-a064);
-  a064=(a045*a046);
-  a112=(a029*a063);
-  a113=(a012*a067);
-  a112=(a112+a113);
-  a113=(a007*a068);
-  a112=(a112+a113);
-  a064=(a064-a112);
-  a064=(a064/a093);
-  a112=(a038*a064);
-  a113=(a103*a112);
-  a114=(a029*a064);
-  a114=(a063+a114);
-  a115=(a105*a114);
-  a113=(a113+a115);
-  a115=(a012*a064);
-  a115=(a067+a115);
-  a116=(a107*a115);
-  a113=(a113+a116);
-  a116=(a007*a064);
-  a116=(a068+a116);
-  a117=(a109*a116);
-  a113=(a113+a117);
-  a064=(a045*a064);
-  a064=(a046-a064);
-  a117=(a102*a064);
-  a113=(a113-a117);
-  a113=(a113/a111);
-  a117=(a103*a113);
-  a112=(a112-a117);
-  a117=(a112*a091);
-  a118=(a105*a113);
-  a114=(a114-a118);
-  a118=(a105*a104);
-  a106=(a106-a118);
-  a118=(a114*a106);
-  a117=(a117+a118);
-  a118=(a107*a113);
-  a115=(a115-a118);
-  a118=(a107*a104);
-  a108=(a108-a118);
-  a118=(a115*a108);
-  a117=(a117+a118);
-  a118=(a109*a113);
-  a116=(a116-a118);
-  a118=(a109*a104);
-  a110=(a110-a118);
-  a118=(a116*a110);
-  a117=(a117+a118);
-  a113=(a102*a113);
-  a064=(a064+a113);
-  a104=(a102*a104);
-  a015=(a015+a104);
-  a104=(a064*a015);
-  a117=(a117+a104);
-  a104=casadi_sq(a112);
-  a113=casadi_sq(a114);
-  a104=(a104+a113);
-  a113=casadi_sq(a115);
-  a104=(a104+a113);
-  a113=casadi_sq(a116);
-  a104=(a104+a113);
-  a113=casadi_sq(a064);
-  a104=(a104+a113);
-  a070=(a070*a071);
-  a070=(a070+a058);
-  a104=casadi_fmax(a104,a070);
-  a117=(a117/a104);
-  a070=(a112*a117);
-  a091=(a091-a070);
-  a061=(a055-a061);
-  a070=arg[11]? arg[11][2] : 0;
-  a071=(a078*a070);
-  a113=arg[11]? arg[11][0] : 0;
-  a118=(a010*a113);
-  a119=arg[11]? arg[11][1] : 0;
-  a120=(a035*a119);
-  a118=(a118+a120);
-  a071=(a071-a118);
-  a118=(a079*a071);
-  a120=(a073*a113);
-  a121=(a005*a119);
-  a120=(a120+a121);
-  a121=(a024*a070);
-  a120=(a120+a121);
-  a121=(a081*a120);
-  a118=(a118-a121);
-  a113=(a025*a113);
-  a119=(a033*a119);
-  a113=(a113-a119);
-  a070=(a004*a070);
-  a113=(a113-a070);
-  a070=(a053*a113);
-  a118=(a118+a070);
-  a070=arg[12]? arg[12][0] : 0;
-  a070=(a070*a074);
-  a119=arg[12]? arg[12][1] : 0;
-  a119=(a119*a084);
-  a070=(a070+a119);
-  a118=(a118-a070);
-  a070=(a083*a069);
-  a119=(a063*a062);
-  a121=(a029*a057);
-  a122=(a031*a065);
-  a121=(a121+a122);
-  a119=(a119-a121);
-  a121=(a095*a119);
-  a070=(a070+a121);
-  a121=(a067*a062);
-  a122=(a012*a057);
-  a123=(a009*a065);
-  a122=(a122+a123);
-  a121=(a121-a122);
-  a122=(a099*a121);
-  a070=(a070+a122);
-  a122=(a068*a062);
-  a123=(a007*a057);
-  a124=(a043*a065);
-  a123=(a123+a124);
-  a122=(a122-a123);
-  a123=(a097*a122);
-  a070=(a070+a123);
-  a057=(a045*a057);
-  a065=(a044*a065);
-  a057=(a057-a065);
-  a062=(a046*a062);
-  a057=(a057+a062);
-  a062=(a020*a057);
-  a070=(a070+a062);
-  a118=(a118-a070);
-  a118=(a061*a118);
-  a070=casadi_sq(a091);
-  a062=(a114*a117);
-  a106=(a106-a062);
-  a062=casadi_sq(a106);
-  a070=(a070+a062);
-  a062=(a115*a117);
-  a108=(a108-a062);
-  a062=casadi_sq(a108);
-  a070=(a070+a062);
-  a062=(a116*a117);
-  a110=(a110-a062);
-  a062=casadi_sq(a110);
-  a070=(a070+a062);
-  a117=(a064*a117);
-  a015=(a015-a117);
-  a117=casadi_sq(a015);
-  a070=(a070+a117);
-  a117=(a076*a033);
-  a062=(a075*a004);
-  a117=(a117-a062);
-  a073=(a073*a117);
-  a076=(a076*a025);
-  a062=(a028*a004);
-  a076=(a076+a062);
-  a005=(a005*a076);
-  a073=(a073+a005);
-  a075=(a075*a025);
-  a028=(a028*a033);
-  a075=(a075+a028);
-  a024=(a024*a075);
-  a073=(a073-a024);
-  a081=(a081*a073);
-  a010=(a010*a117);
-  a035=(a035*a076);
-  a010=(a010+a035);
-  a078=(a078*a075);
-  a010=(a010+a078);
-  a079=(a079*a010);
-  a081=(a081+a079);
-  a025=(a025*a117);
-  a033=(a033*a076);
-  a025=(a025-a033);
-  a004=(a004*a075);
-  a025=(a025+a004);
-  a053=(a053*a025);
-  a081=(a081-a053);
-  a053=casadi_sq(a081);
-  a070=(a070+a053);
-  a004=arg[13]? arg[13][0] : 0;
-  a004=casadi_sq(a004);
-  a075=(a056*a070);
-  a075=(a075+a058);
-  a075=casadi_fmax(a070,a075);
-  a033=(1./a075);
-  a042=(a042/a077);
-  a019=(a042*a019);
-  a019=(a055-a019);
-  a019=(a059*a019);
-  a085=(a019*a085);
-  a080=(a042*a080);
-  a080=(a059*a080);
-  a082=(a080*a082);
-  a085=(a085-a082);
-  a059=(a059*a042);
-  a060=(a059*a060);
-  a085=(a085-a060);
-  a090=(a080*a090);
-  a096=(a019*a096);
-  a090=(a090+a096);
-  a089=(a059*a089);
-  a090=(a090+a089);
-  a089=(a029*a090);
-  a096=(a038*a085);
-  a089=(a089-a096);
-  a092=(a080*a092);
-  a100=(a019*a100);
-  a092=(a092+a100);
-  a094=(a059*a094);
-  a092=(a092+a094);
-  a094=(a012*a092);
-  a089=(a089+a094);
-  a098=(a080*a098);
-  a101=(a019*a101);
-  a098=(a098+a101);
-  a088=(a059*a088);
-  a098=(a098+a088);
-  a088=(a007*a098);
-  a089=(a089+a088);
-  a011=(a019*a011);
-  a086=(a080*a086);
-  a011=(a011-a086);
-  a087=(a059*a087);
-  a011=(a011+a087);
-  a087=(a045*a011);
-  a089=(a089+a087);
-  a089=(a089/a093);
-  a087=(a038*a089);
-  a087=(a085+a087);
-  a086=(a103*a087);
-  a088=(a029*a089);
-  a088=(a088-a090);
-  a101=(a105*a088);
-  a086=(a086+a101);
-  a101=(a012*a089);
-  a101=(a101-a092);
-  a094=(a107*a101);
-  a086=(a086+a094);
-  a094=(a007*a089);
-  a094=(a094-a098);
-  a100=(a109*a094);
-  a086=(a086+a100);
-  a089=(a045*a089);
-  a089=(a011-a089);
-  a100=(a102*a089);
-  a086=(a086-a100);
-  a086=(a086/a111);
-  a100=(a103*a086);
-  a087=(a087-a100);
-  a100=(a112*a087);
-  a096=(a105*a086);
-  a088=(a088-a096);
-  a096=(a114*a088);
-  a100=(a100+a096);
-  a096=(a107*a086);
-  a101=(a101-a096);
-  a096=(a115*a101);
-  a100=(a100+a096);
-  a096=(a109*a086);
-  a094=(a094-a096);
-  a096=(a116*a094);
-  a100=(a100+a096);
-  a086=(a102*a086);
-  a089=(a089+a086);
-  a086=(a064*a089);
-  a100=(a100+a086);
-  a100=(a100/a104);
-  a086=(a112*a100);
-  a087=(a087-a086);
-  a086=(a087*a091);
-  a096=(a114*a100);
-  a088=(a088-a096);
-  a096=(a088*a106);
-  a086=(a086+a096);
-  a096=(a115*a100);
-  a101=(a101-a096);
-  a096=(a101*a108);
-  a086=(a086+a096);
-  a096=(a116*a100);
-  a094=(a094-a096);
-  a096=(a094*a110);
-  a086=(a086+a096);
-  a100=(a064*a100);
-  a089=(a089-a100);
-  a100=(a089*a015);
-  a086=(a086+a100);
-  a073=(a080*a073);
-  a010=(a019*a010);
-  a073=(a073+a010);
-  a025=(a059*a025);
-  a073=(a073+a025);
-  a025=(a073*a081);
-  a086=(a086-a025);
-  a025=(a086/a075);
-  a025=casadi_sq(a025);
-  a010=(a025+a055);
-  a100=casadi_sq(a087);
-  a096=casadi_sq(a088);
-  a100=(a100+a096);
-  a096=casadi_sq(a101);
-  a100=(a100+a096);
-  a096=casadi_sq(a094);
-  a100=(a100+a096);
-  a096=casadi_sq(a089);
-  a100=(a100+a096);
-  a096=casadi_sq(a073);
-  a100=(a100+a096);
-  a025=(a025*a075);
-  a025=(a100-a025);
-  a075=(a056*a100);
-  a075=(a075+a058);
-  a025=casadi_fmax(a025,a075);
-  a010=(a010/a025);
-  a033=(a033+a010);
-  a033=(1./a033);
-  a010=arg[14]? arg[14][0] : 0;
-  a010=casadi_sq(a010);
-  a010=(a033/a010);
-  a010=(a055-a010);
-  a010=casadi_fmax(a054,a010);
-  a010=casadi_sq(a010);
-  a004=(a004*a010);
-  a010=casadi_sq(a083);
-  a025=casadi_sq(a095);
-  a010=(a010+a025);
-  a025=casadi_sq(a099);
-  a010=(a010+a025);
-  a025=casadi_sq(a097);
-  a010=(a010+a025);
-  a025=casadi_sq(a020);
-  a010=(a010+a025);
-  a010=(a010+a053);
-  a025=casadi_sq(a085);
-  a075=casadi_sq(a090);
-  a025=(a025+a075);
-  a075=casadi_sq(a092);
-  a025=(a025+a075);
-  a075=casadi_sq(a098);
-  a025=(a025+a075);
-  a075=casadi_sq(a011);
-  a025=(a025+a075);
-  a025=(a025+a096);
-  a096=(a010+a025);
-  a066=(a066*a096);
-  a072=(a072*a096);
-  a072=(a072+a058);
-  a033=(a033/a072);
-  a033=(a055-a033);
-  a033=casadi_fmax(a054,a033);
-  a033=casadi_sq(a033);
-  a066=(a066*a033);
-  a004=casadi_fmax(a004,a066);
-  a070=(a070+a004);
-  a010=(a056*a010);
-  a010=(a004+a010);
-  a070=casadi_fmax(a070,a010);
-  a010=(a118/a070);
-  a086=(a086/a070);
-  a080=(a080*a120);
-  a019=(a019*a071);
-  a080=(a080-a019);
-  a059=(a059*a113);
-  a080=(a080+a059);
-  a059=arg[12]? arg[12][2] : 0;
-  a059=(a059*a074);
-  a113=arg[12]? arg[12][3] : 0;
-  a113=(a113*a084);
-  a059=(a059+a113);
-  a080=(a080-a059);
-  a059=(a085*a069);
-  a113=(a090*a119);
-  a059=(a059-a113);
-  a113=(a092*a121);
-  a059=(a059-a113);
-  a113=(a098*a122);
-  a059=(a059-a113);
-  a113=(a011*a057);
-  a059=(a059+a113);
-  a080=(a080-a059);
-  a061=(a061*a080);
-  a118=(a086*a118);
-  a061=(a061-a118);
-  a100=(a100+a004);
-  a118=casadi_sq(a086);
-  a118=(a118*a070);
-  a100=(a100-a118);
-  a056=(a056*a025);
-  a004=(a004+a056);
-  a100=casadi_fmax(a100,a004);
-  a061=(a061/a100);
-  a086=(a086*a061);
-  a010=(a010-a086);
-  a091=(a091*a010);
-  a087=(a087*a061);
-  a091=(a091+a087);
-  a087=(a112*a091);
-  a106=(a106*a010);
-  a088=(a088*a061);
-  a106=(a106+a088);
-  a088=(a114*a106);
-  a087=(a087+a088);
-  a108=(a108*a010);
-  a101=(a101*a061);
-  a108=(a108+a101);
-  a101=(a115*a108);
-  a087=(a087+a101);
-  a110=(a110*a010);
-  a094=(a094*a061);
-  a110=(a110+a094);
-  a094=(a116*a110);
-  a087=(a087+a094);
-  a015=(a015*a010);
-  a089=(a089*a061);
-  a015=(a015+a089);
-  a089=(a064*a015);
-  a087=(a087+a089);
-  a087=(a087/a104);
-  a112=(a112*a087);
-  a091=(a091-a112);
-  a112=(a103*a091);
-  a114=(a114*a087);
-  a106=(a106-a114);
-  a114=(a105*a106);
-  a112=(a112+a114);
-  a115=(a115*a087);
-  a108=(a108-a115);
-  a115=(a107*a108);
-  a112=(a112+a115);
-  a116=(a116*a087);
-  a110=(a110-a116);
-  a116=(a109*a110);
-  a112=(a112+a116);
-  a064=(a064*a087);
-  a015=(a015-a064);
-  a064=(a102*a015);
-  a112=(a112-a064);
-  a112=(a112/a111);
-  a103=(a103*a112);
-  a091=(a091-a103);
-  a102=(a102*a112);
-  a015=(a015+a102);
-  a102=(a045*a015);
-  a103=(a038*a091);
-  a105=(a105*a112);
-  a106=(a106-a105);
-  a105=(a029*a106);
-  a103=(a103+a105);
-  a107=(a107*a112);
-  a108=(a108-a107);
-  a107=(a012*a108);
-  a103=(a103+a107);
-  a109=(a109*a112);
-  a110=(a110-a109);
-  a109=(a007*a110);
-  a103=(a103+a109);
-  a102=(a102-a103);
-  a102=(a102/a093);
-  a093=(a038*a102);
-  a091=(a091+a093);
-  a069=(a069+a091);
-  a091=casadi_fabs(a069);
-  a093=arg[15]? arg[15][0] : 0;
-  a091=(a091/a093);
-  a103=(a029*a102);
-  a106=(a106+a103);
-  a119=(a119+a106);
-  a106=casadi_fabs(a119);
-  a103=arg[15]? arg[15][1] : 0;
-  a106=(a106/a103);
-  a091=casadi_fmax(a091,a106);
-  a106=(a012*a102);
-  a108=(a108+a106);
-  a121=(a121+a108);
-  a108=casadi_fabs(a121);
-  a106=arg[15]? arg[15][2] : 0;
-  a108=(a108/a106);
-  a091=casadi_fmax(a091,a108);
-  a108=(a007*a102);
-  a110=(a110+a108);
-  a122=(a122+a110);
-  a110=casadi_fabs(a122);
-  a108=arg[15]? arg[15][3] : 0;
-  a110=(a110/a108);
-  a091=casadi_fmax(a091,a110);
-  a102=(a045*a102);
-  a015=(a015-a102);
-  a057=(a057+a015);
-  a015=casadi_fabs(a057);
-  a102=arg[15]? arg[15][4] : 0;
-  a015=(a015/a102);
-  a091=casadi_fmax(a091,a015);
-  a010=(a081*a010);
-  a061=(a073*a061);
-  a010=(a010-a061);
-  a061=casadi_fabs(a010);
-  a015=arg[15]? arg[15][5] : 0;
-  a061=(a061/a015);
-  a091=casadi_fmax(a091,a061);
-  a091=casadi_fmax(a055,a091);
-  a069=(a069/a091);
-  if (res[0]!=0) res[0][0]=a069;
-  a119=(a119/a091);
-  if (res[0]!=0) res[0][1]=a119;
-  a121=(a121/a091);
-  if (res[0]!=0) res[0][2]=a121;
-  a122=(a122/a091);
-  if (res[0]!=0) res[0][3]=a122;
-  a057=(a057/a091);
-  if (res[0]!=0) res[0][4]=a057;
-  a010=(a010/a091);
-  if (res[0]!=0) res[0][5]=a010;
-  a010=1.0000000000000000e-04;
-  a049=(a010+a049);
-  a047=(a047/a049);
-  a047=(a055-a047);
-  a091=(a047*a027);
-  a057=(a038*a029);
-  a057=(a057/a049);
-  a122=(a057*a031);
-  a091=(a091+a122);
-  a122=(a038*a012);
-  a122=(a122/a049);
-  a121=(a122*a009);
-  a091=(a091+a121);
-  a121=(a038*a007);
-  a121=(a121/a049);
-  a119=(a121*a043);
-  a091=(a091+a119);
-  a119=(a038*a045);
-  a119=(a119/a049);
-  a069=(a119*a044);
-  a091=(a091-a069);
-  a069=casadi_sq(a091);
-  a061=(a027*a091);
-  a110=(a029*a012);
-  a110=(a110/a049);
-  a109=(a110*a009);
-  a112=(a029*a038);
-  a112=(a112/a049);
-  a107=(a112*a027);
-  a048=(a048/a049);
-  a048=(a055-a048);
-  a105=(a048*a031);
-  a107=(a107+a105);
-  a109=(a109-a107);
-  a107=(a029*a007);
-  a107=(a107/a049);
-  a105=(a107*a043);
-  a109=(a109+a105);
-  a105=(a029*a045);
-  a105=(a105/a049);
-  a111=(a105*a044);
-  a109=(a109-a111);
-  a111=(a031*a109);
-  a061=(a061-a111);
-  a111=(a012*a029);
-  a111=(a111/a049);
-  a064=(a111*a031);
-  a087=(a012*a038);
-  a087=(a087/a049);
-  a116=(a087*a027);
-  a064=(a064-a116);
-  a050=(a050/a049);
-  a050=(a055-a050);
-  a116=(a050*a009);
-  a064=(a064-a116);
-  a116=(a012*a007);
-  a116=(a116/a049);
-  a115=(a116*a043);
-  a064=(a064+a115);
-  a115=(a012*a045);
-  a115=(a115/a049);
-  a114=(a115*a044);
-  a064=(a064-a114);
-  a114=(a009*a064);
-  a061=(a061-a114);
-  a114=(a007*a029);
-  a114=(a114/a049);
-  a104=(a114*a031);
-  a089=(a007*a038);
-  a089=(a089/a049);
-  a094=(a089*a027);
-  a104=(a104-a094);
-  a094=(a007*a012);
-  a094=(a094/a049);
-  a101=(a094*a009);
-  a104=(a104+a101);
-  a051=(a051/a049);
-  a051=(a055-a051);
-  a101=(a051*a043);
-  a104=(a104-a101);
-  a101=(a007*a045);
-  a101=(a101/a049);
-  a088=(a101*a044);
-  a104=(a104-a088);
-  a088=(a043*a104);
-  a061=(a061-a088);
-  a088=(a045*a038);
-  a088=(a088/a049);
-  a086=(a088*a027);
-  a100=(a045*a029);
-  a100=(a100/a049);
-  a004=(a100*a031);
-  a086=(a086-a004);
-  a004=(a045*a012);
-  a004=(a004/a049);
-  a056=(a004*a009);
-  a086=(a086-a056);
-  a056=(a045*a007);
-  a056=(a056/a049);
-  a025=(a056*a043);
-  a086=(a086-a025);
-  a052=(a052/a049);
-  a052=(a055-a052);
-  a049=(a052*a044);
-  a086=(a086-a049);
-  a049=(a044*a086);
-  a061=(a061-a049);
-  a061=(a010+a061);
-  a069=(a069/a061);
-  a047=(a047-a069);
-  a069=(a091*a086);
-  a069=(a069/a061);
-  a119=(a119-a069);
-  a069=(a119*a046);
-  a049=(a091*a109);
-  a049=(a049/a061);
-  a057=(a057+a049);
-  a049=(a057*a063);
-  a025=(a091*a064);
-  a025=(a025/a061);
-  a122=(a122+a025);
-  a025=(a122*a067);
-  a049=(a049+a025);
-  a025=(a091*a104);
-  a025=(a025/a061);
-  a121=(a121+a025);
-  a025=(a121*a068);
-  a049=(a049+a025);
-  a069=(a069-a049);
-  a049=casadi_sq(a069);
-  a025=casadi_sq(a109);
-  a025=(a025/a061);
-  a048=(a048-a025);
-  a025=(a048*a063);
-  a118=(a109*a064);
-  a118=(a118/a061);
-  a110=(a110+a118);
-  a118=(a110*a067);
-  a025=(a025-a118);
-  a118=(a109*a104);
-  a118=(a118/a061);
-  a107=(a107+a118);
-  a118=(a107*a068);
-  a025=(a025-a118);
-  a118=(a109*a086);
-  a118=(a118/a061);
-  a105=(a105-a118);
-  a118=(a105*a046);
-  a025=(a025+a118);
-  a118=(a063*a025);
-  a070=casadi_sq(a064);
-  a070=(a070/a061);
-  a050=(a050-a070);
-  a070=(a050*a067);
-  a080=(a064*a109);
-  a080=(a080/a061);
-  a111=(a111+a080);
-  a080=(a111*a063);
-  a070=(a070-a080);
-  a080=(a064*a104);
-  a080=(a080/a061);
-  a116=(a116+a080);
-  a080=(a116*a068);
-  a070=(a070-a080);
-  a080=(a064*a086);
-  a080=(a080/a061);
-  a115=(a115-a080);
-  a080=(a115*a046);
-  a070=(a070+a080);
-  a080=(a067*a070);
-  a118=(a118+a080);
-  a080=casadi_sq(a104);
-  a080=(a080/a061);
-  a051=(a051-a080);
-  a080=(a051*a068);
-  a059=(a104*a109);
-  a059=(a059/a061);
-  a114=(a114+a059);
-  a059=(a114*a063);
-  a113=(a104*a064);
-  a113=(a113/a061);
-  a094=(a094+a113);
-  a113=(a094*a067);
-  a059=(a059+a113);
-  a080=(a080-a059);
-  a059=(a104*a086);
-  a059=(a059/a061);
-  a101=(a101-a059);
-  a059=(a101*a046);
-  a080=(a080+a059);
-  a059=(a068*a080);
-  a118=(a118+a059);
-  a059=(a086*a109);
-  a059=(a059/a061);
-  a100=(a100-a059);
-  a059=(a100*a063);
-  a113=(a086*a064);
-  a113=(a113/a061);
-  a004=(a004-a113);
-  a113=(a004*a067);
-  a059=(a059+a113);
-  a113=(a086*a104);
-  a113=(a113/a061);
-  a056=(a056-a113);
-  a113=(a056*a068);
-  a059=(a059+a113);
-  a113=casadi_sq(a086);
-  a113=(a113/a061);
-  a052=(a052-a113);
-  a113=(a052*a046);
-  a059=(a059+a113);
-  a113=(a046*a059);
-  a118=(a118+a113);
-  a118=(a010+a118);
-  a049=(a049/a118);
-  a047=(a047-a049);
-  a049=arg[16]? arg[16][0] : 0;
-  a049=casadi_sq(a049);
-  a113=(a055-a047);
-  a113=(a049*a113);
-  a047=(a047+a113);
-  a113=(a047*a083);
-  a019=(a069*a025);
-  a019=(a019/a118);
-  a057=(a057+a019);
-  a019=(a049*a057);
-  a019=(a019-a057);
-  a057=(a019*a095);
-  a113=(a113+a057);
-  a057=(a069*a070);
-  a057=(a057/a118);
-  a122=(a122+a057);
-  a057=(a049*a122);
-  a057=(a057-a122);
-  a122=(a057*a099);
-  a113=(a113+a122);
-  a122=(a069*a080);
-  a122=(a122/a118);
-  a121=(a121+a122);
-  a122=(a049*a121);
-  a122=(a122-a121);
-  a121=(a122*a097);
-  a113=(a113+a121);
-  a121=(a069*a059);
-  a121=(a121/a118);
-  a119=(a119-a121);
-  a121=(a049*a119);
-  a119=(a119-a121);
-  a121=(a119*a020);
-  a113=(a113+a121);
-  a121=casadi_sq(a113);
-  a071=(a083*a113);
-  a109=(a109*a091);
-  a109=(a109/a061);
-  a112=(a112+a109);
-  a109=(a025*a069);
-  a109=(a109/a118);
-  a112=(a112+a109);
-  a109=(a049*a112);
-  a109=(a109-a112);
-  a112=(a109*a083);
-  a120=casadi_sq(a025);
-  a120=(a120/a118);
-  a048=(a048-a120);
-  a120=(a055-a048);
-  a120=(a049*a120);
-  a048=(a048+a120);
-  a120=(a048*a095);
-  a112=(a112+a120);
-  a120=(a025*a070);
-  a120=(a120/a118);
-  a110=(a110+a120);
-  a120=(a049*a110);
-  a120=(a120-a110);
-  a110=(a120*a099);
-  a112=(a112+a110);
-  a110=(a025*a080);
-  a110=(a110/a118);
-  a107=(a107+a110);
-  a110=(a049*a107);
-  a110=(a110-a107);
-  a107=(a110*a097);
-  a112=(a112+a107);
-  a107=(a025*a059);
-  a107=(a107/a118);
-  a105=(a105-a107);
-  a107=(a049*a105);
-  a105=(a105-a107);
-  a107=(a105*a020);
-  a112=(a112+a107);
-  a107=(a095*a112);
-  a071=(a071+a107);
-  a064=(a064*a091);
-  a064=(a064/a061);
-  a087=(a087+a064);
-  a064=(a070*a069);
-  a064=(a064/a118);
-  a087=(a087+a064);
-  a064=(a049*a087);
-  a064=(a064-a087);
-  a087=(a064*a083);
-  a107=(a070*a025);
-  a107=(a107/a118);
-  a111=(a111+a107);
-  a107=(a049*a111);
-  a107=(a107-a111);
-  a111=(a107*a095);
-  a087=(a087+a111);
-  a111=casadi_sq(a070);
-  a111=(a111/a118);
-  a050=(a050-a111);
-  a111=(a055-a050);
-  a111=(a049*a111);
-  a050=(a050+a111);
-  a111=(a050*a099);
-  a087=(a087+a111);
-  a111=(a070*a080);
-  a111=(a111/a118);
-  a116=(a116+a111);
-  a111=(a049*a116);
-  a111=(a111-a116);
-  a116=(a111*a097);
-  a087=(a087+a116);
-  a116=(a070*a059);
-  a116=(a116/a118);
-  a115=(a115-a116);
-  a116=(a049*a115);
-  a115=(a115-a116);
-  a116=(a115*a020);
-  a087=(a087+a116);
-  a116=(a099*a087);
-  a071=(a071+a116);
-  a104=(a104*a091);
-  a104=(a104/a061);
-  a089=(a089+a104);
-  a104=(a080*a069);
-  a104=(a104/a118);
-  a089=(a089+a104);
-  a104=(a049*a089);
-  a104=(a104-a089);
-  a089=(a104*a083);
-  a116=(a080*a025);
-  a116=(a116/a118);
-  a114=(a114+a116);
-  a116=(a049*a114);
-  a116=(a116-a114);
-  a114=(a116*a095);
-  a089=(a089+a114);
-  a114=(a080*a070);
-  a114=(a114/a118);
-  a094=(a094+a114);
-  a114=(a049*a094);
-  a114=(a114-a094);
-  a094=(a114*a099);
-  a089=(a089+a094);
-  a094=casadi_sq(a080);
-  a094=(a094/a118);
-  a051=(a051-a094);
-  a094=(a055-a051);
-  a094=(a049*a094);
-  a051=(a051+a094);
-  a094=(a051*a097);
-  a089=(a089+a094);
-  a094=(a080*a059);
-  a094=(a094/a118);
-  a101=(a101-a094);
-  a094=(a049*a101);
-  a101=(a101-a094);
-  a094=(a101*a020);
-  a089=(a089+a094);
-  a094=(a097*a089);
-  a071=(a071+a094);
-  a086=(a086*a091);
-  a086=(a086/a061);
-  a088=(a088-a086);
-  a069=(a059*a069);
-  a069=(a069/a118);
-  a088=(a088-a069);
-  a069=(a049*a088);
-  a088=(a088-a069);
-  a083=(a088*a083);
-  a025=(a059*a025);
-  a025=(a025/a118);
-  a100=(a100-a025);
-  a025=(a049*a100);
-  a100=(a100-a025);
-  a095=(a100*a095);
-  a083=(a083+a095);
-  a070=(a059*a070);
-  a070=(a070/a118);
-  a004=(a004-a070);
-  a070=(a049*a004);
-  a004=(a004-a070);
-  a099=(a004*a099);
-  a083=(a083+a099);
-  a080=(a059*a080);
-  a080=(a080/a118);
-  a056=(a056-a080);
-  a080=(a049*a056);
-  a056=(a056-a080);
-  a097=(a056*a097);
-  a083=(a083+a097);
-  a059=casadi_sq(a059);
-  a059=(a059/a118);
-  a052=(a052-a059);
-  a059=(a055-a052);
-  a049=(a049*a059);
-  a052=(a052+a049);
-  a049=(a052*a020);
-  a083=(a083+a049);
-  a020=(a020*a083);
-  a071=(a071+a020);
-  a071=(a071+a053);
-  a071=(a010+a071);
-  a121=(a121/a071);
-  a121=(a047-a121);
-  a020=(a121*a085);
-  a049=(a113*a112);
-  a049=(a049/a071);
-  a019=(a019-a049);
-  a019=(a019*a090);
-  a020=(a020-a019);
-  a019=(a113*a087);
-  a019=(a019/a071);
-  a057=(a057-a019);
-  a057=(a057*a092);
-  a020=(a020-a057);
-  a057=(a113*a089);
-  a057=(a057/a071);
-  a122=(a122-a057);
-  a122=(a122*a098);
-  a020=(a020-a122);
-  a122=(a113*a083);
-  a122=(a122/a071);
-  a119=(a119-a122);
-  a119=(a119*a011);
-  a020=(a020+a119);
-  a119=(a113*a081);
-  a119=(a119/a071);
-  a119=(a119*a073);
-  a020=(a020+a119);
-  a119=casadi_sq(a020);
-  a122=(a085*a020);
-  a057=(a112*a113);
-  a057=(a057/a071);
-  a057=(a109-a057);
-  a019=(a057*a085);
-  a049=casadi_sq(a112);
-  a049=(a049/a071);
-  a049=(a048-a049);
-  a059=(a049*a090);
-  a019=(a019-a059);
-  a059=(a112*a087);
-  a059=(a059/a071);
-  a120=(a120-a059);
-  a120=(a120*a092);
-  a019=(a019-a120);
-  a120=(a112*a089);
-  a120=(a120/a071);
-  a110=(a110-a120);
-  a110=(a110*a098);
-  a019=(a019-a110);
-  a110=(a112*a083);
-  a110=(a110/a071);
-  a105=(a105-a110);
-  a105=(a105*a011);
-  a019=(a019+a105);
-  a105=(a112*a081);
-  a105=(a105/a071);
-  a105=(a105*a073);
-  a019=(a019+a105);
-  a105=(a090*a019);
-  a122=(a122-a105);
-  a105=(a087*a113);
-  a105=(a105/a071);
-  a105=(a064-a105);
-  a110=(a105*a085);
-  a120=(a087*a112);
-  a120=(a120/a071);
-  a120=(a107-a120);
-  a059=(a120*a090);
-  a110=(a110-a059);
-  a059=casadi_sq(a087);
-  a059=(a059/a071);
-  a059=(a050-a059);
-  a118=(a059*a092);
-  a110=(a110-a118);
-  a118=(a087*a089);
-  a118=(a118/a071);
-  a111=(a111-a118);
-  a111=(a111*a098);
-  a110=(a110-a111);
-  a111=(a087*a083);
-  a111=(a111/a071);
-  a115=(a115-a111);
-  a115=(a115*a011);
-  a110=(a110+a115);
-  a115=(a087*a081);
-  a115=(a115/a071);
-  a115=(a115*a073);
-  a110=(a110+a115);
-  a115=(a092*a110);
-  a122=(a122-a115);
-  a115=(a089*a113);
-  a115=(a115/a071);
-  a115=(a104-a115);
-  a111=(a115*a085);
-  a118=(a089*a112);
-  a118=(a118/a071);
-  a118=(a116-a118);
-  a097=(a118*a090);
-  a111=(a111-a097);
-  a097=(a089*a087);
-  a097=(a097/a071);
-  a097=(a114-a097);
-  a080=(a097*a092);
-  a111=(a111-a080);
-  a080=casadi_sq(a089);
-  a080=(a080/a071);
-  a080=(a051-a080);
-  a099=(a080*a098);
-  a111=(a111-a099);
-  a099=(a089*a083);
-  a099=(a099/a071);
-  a101=(a101-a099);
-  a101=(a101*a011);
-  a111=(a111+a101);
-  a101=(a089*a081);
-  a101=(a101/a071);
-  a101=(a101*a073);
-  a111=(a111+a101);
-  a101=(a098*a111);
-  a122=(a122-a101);
-  a101=(a083*a113);
-  a101=(a101/a071);
-  a101=(a088-a101);
-  a099=(a101*a085);
-  a070=(a083*a112);
-  a070=(a070/a071);
-  a070=(a100-a070);
-  a095=(a070*a090);
-  a099=(a099-a095);
-  a095=(a083*a087);
-  a095=(a095/a071);
-  a095=(a004-a095);
-  a025=(a095*a092);
-  a099=(a099-a025);
-  a025=(a083*a089);
-  a025=(a025/a071);
-  a025=(a056-a025);
-  a069=(a025*a098);
-  a099=(a099-a069);
-  a069=casadi_sq(a083);
-  a069=(a069/a071);
-  a069=(a052-a069);
-  a086=(a069*a011);
-  a099=(a099+a086);
-  a086=(a083*a081);
-  a086=(a086/a071);
-  a086=(a086*a073);
-  a099=(a099+a086);
-  a086=(a011*a099);
-  a122=(a122+a086);
-  a112=(a081*a112);
-  a112=(a112/a071);
-  a090=(a112*a090);
-  a113=(a081*a113);
-  a113=(a113/a071);
-  a085=(a113*a085);
-  a090=(a090-a085);
-  a087=(a081*a087);
-  a087=(a087/a071);
-  a092=(a087*a092);
-  a090=(a090+a092);
-  a089=(a081*a089);
-  a089=(a089/a071);
-  a098=(a089*a098);
-  a090=(a090+a098);
-  a081=(a081*a083);
-  a081=(a081/a071);
-  a011=(a081*a011);
-  a090=(a090-a011);
-  a053=(a053/a071);
-  a053=(a055-a053);
-  a071=(a053*a073);
-  a090=(a090-a071);
-  a073=(a073*a090);
-  a122=(a122-a073);
-  a010=(a010+a122);
-  a119=(a119/a010);
-  a121=(a121-a119);
-  a119=arg[17]? arg[17][0] : 0;
-  a119=casadi_sq(a119);
-  a047=(a047-a121);
-  a047=(a119*a047);
-  a121=(a121+a047);
-  if (res[1]!=0) res[1][0]=a121;
-  a121=(a019*a020);
-  a121=(a121/a010);
-  a057=(a057-a121);
-  a109=(a109-a057);
-  a109=(a119*a109);
-  a057=(a057+a109);
-  if (res[1]!=0) res[1][1]=a057;
-  a057=casadi_sq(a019);
-  a057=(a057/a010);
-  a049=(a049-a057);
-  a048=(a048-a049);
-  a048=(a119*a048);
-  a049=(a049+a048);
-  if (res[1]!=0) res[1][2]=a049;
-  a049=(a110*a020);
-  a049=(a049/a010);
-  a105=(a105-a049);
-  a064=(a064-a105);
-  a064=(a119*a064);
-  a105=(a105+a064);
-  if (res[1]!=0) res[1][3]=a105;
-  a105=(a110*a019);
-  a105=(a105/a010);
-  a120=(a120-a105);
-  a107=(a107-a120);
-  a107=(a119*a107);
-  a120=(a120+a107);
-  if (res[1]!=0) res[1][4]=a120;
-  a120=casadi_sq(a110);
-  a120=(a120/a010);
-  a059=(a059-a120);
-  a050=(a050-a059);
-  a050=(a119*a050);
-  a059=(a059+a050);
-  if (res[1]!=0) res[1][5]=a059;
-  a059=(a111*a020);
-  a059=(a059/a010);
-  a115=(a115-a059);
-  a104=(a104-a115);
-  a104=(a119*a104);
-  a115=(a115+a104);
-  if (res[1]!=0) res[1][6]=a115;
-  a115=(a111*a019);
-  a115=(a115/a010);
-  a118=(a118-a115);
-  a116=(a116-a118);
-  a116=(a119*a116);
-  a118=(a118+a116);
-  if (res[1]!=0) res[1][7]=a118;
-  a118=(a111*a110);
-  a118=(a118/a010);
-  a097=(a097-a118);
-  a114=(a114-a097);
-  a114=(a119*a114);
-  a097=(a097+a114);
-  if (res[1]!=0) res[1][8]=a097;
-  a097=casadi_sq(a111);
-  a097=(a097/a010);
-  a080=(a080-a097);
-  a051=(a051-a080);
-  a051=(a119*a051);
-  a080=(a080+a051);
-  if (res[1]!=0) res[1][9]=a080;
-  a080=(a099*a020);
-  a080=(a080/a010);
-  a101=(a101-a080);
-  a088=(a088-a101);
-  a088=(a119*a088);
-  a101=(a101+a088);
-  if (res[1]!=0) res[1][10]=a101;
-  a101=(a099*a019);
-  a101=(a101/a010);
-  a070=(a070-a101);
-  a100=(a100-a070);
-  a100=(a119*a100);
-  a070=(a070+a100);
-  if (res[1]!=0) res[1][11]=a070;
-  a070=(a099*a110);
-  a070=(a070/a010);
-  a095=(a095-a070);
-  a004=(a004-a095);
-  a004=(a119*a004);
-  a095=(a095+a004);
-  if (res[1]!=0) res[1][12]=a095;
-  a095=(a099*a111);
-  a095=(a095/a010);
-  a025=(a025-a095);
-  a056=(a056-a025);
-  a056=(a119*a056);
-  a025=(a025+a056);
-  if (res[1]!=0) res[1][13]=a025;
-  a025=casadi_sq(a099);
-  a025=(a025/a010);
-  a069=(a069-a025);
-  a052=(a052-a069);
-  a052=(a119*a052);
-  a069=(a069+a052);
-  if (res[1]!=0) res[1][14]=a069;
-  a020=(a090*a020);
-  a020=(a020/a010);
-  a113=(a113+a020);
-  a020=(a119*a113);
-  a020=(a020-a113);
-  if (res[1]!=0) res[1][15]=a020;
-  a019=(a090*a019);
-  a019=(a019/a010);
-  a112=(a112+a019);
-  a019=(a119*a112);
-  a019=(a019-a112);
-  if (res[1]!=0) res[1][16]=a019;
-  a110=(a090*a110);
-  a110=(a110/a010);
-  a087=(a087+a110);
-  a110=(a119*a087);
-  a110=(a110-a087);
-  if (res[1]!=0) res[1][17]=a110;
-  a111=(a090*a111);
-  a111=(a111/a010);
-  a089=(a089+a111);
-  a111=(a119*a089);
-  a111=(a111-a089);
-  if (res[1]!=0) res[1][18]=a111;
-  a099=(a090*a099);
-  a099=(a099/a010);
-  a081=(a081+a099);
-  a099=(a119*a081);
-  a099=(a099-a081);
-  if (res[1]!=0) res[1][19]=a099;
-  a090=casadi_sq(a090);
-  a090=(a090/a010);
-  a053=(a053-a090);
-  a090=(a055-a053);
-  a119=(a119*a090);
-  a053=(a053+a119);
-  if (res[1]!=0) res[1][20]=a053;
-  a053=arg[1]? arg[1][0] : 0;
-  a119=(a053*a034);
-  a090=arg[1]? arg[1][1] : 0;
-  a010=(a090*a006);
-  a119=(a119-a010);
-  if (res[2]!=0) res[2][0]=a119;
-  a119=(a053*a036);
-  a010=(a090*a021);
-  a119=(a119-a010);
-  if (res[2]!=0) res[2][1]=a119;
-  a119=(a053*a038);
-  a010=(a090*a027);
-  a119=(a119-a010);
-  if (res[2]!=0) res[2][2]=a119;
-  a119=arg[1]? arg[1][3] : 0;
-  a010=(a119*a034);
-  a099=arg[1]? arg[1][4] : 0;
-  a081=(a099*a006);
-  a010=(a010-a081);
-  if (res[2]!=0) res[2][3]=a010;
-  a010=(a119*a036);
-  a081=(a099*a021);
-  a010=(a010-a081);
-  if (res[2]!=0) res[2][4]=a010;
-  a010=(a119*a038);
-  a081=(a099*a027);
-  a010=(a010-a081);
-  if (res[2]!=0) res[2][5]=a010;
-  a010=(a002*a000);
-  a081=(a053*a010);
-  a000=(a016*a000);
-  a111=(a090*a000);
-  a081=(a081+a111);
-  a111=arg[1]? arg[1][2] : 0;
-  a089=(a016*a034);
-  a110=(a002*a006);
-  a089=(a089+a110);
-  a110=(a111*a089);
-  a081=(a081-a110);
-  if (res[2]!=0) res[2][6]=a081;
-  a040=(a013-a040);
-  a081=(a002*a040);
-  a110=(a053*a081);
-  a040=(a016*a040);
-  a087=(a090*a040);
-  a110=(a110+a087);
-  a087=(a016*a036);
-  a019=(a002*a021);
-  a087=(a087+a019);
-  a019=(a111*a087);
-  a110=(a110-a019);
-  if (res[2]!=0) res[2][7]=a110;
-  a110=(a053*a029);
-  a019=(a090*a031);
-  a110=(a110+a019);
-  a019=(a111*a063);
-  a110=(a110-a019);
-  if (res[2]!=0) res[2][8]=a110;
-  a010=(a119*a010);
-  a000=(a099*a000);
-  a010=(a010+a000);
-  a000=arg[1]? arg[1][5] : 0;
-  a089=(a000*a089);
-  a010=(a010-a089);
-  if (res[2]!=0) res[2][9]=a010;
-  a081=(a119*a081);
-  a040=(a099*a040);
-  a081=(a081+a040);
-  a087=(a000*a087);
-  a081=(a081-a087);
-  if (res[2]!=0) res[2][10]=a081;
-  a029=(a119*a029);
-  a031=(a099*a031);
-  a029=(a029+a031);
-  a063=(a000*a063);
-  a029=(a029-a063);
-  if (res[2]!=0) res[2][11]=a029;
-  if (res[2]!=0) res[2][12]=a054;
-  a029=(a013-a041);
-  a063=(a002*a029);
-  a031=(a053*a063);
-  a029=(a016*a029);
-  a081=(a090*a029);
-  a031=(a031+a081);
-  a081=(a036-a034);
-  a081=(a016*a081);
-  a087=(a021-a006);
-  a087=(a002*a087);
-  a081=(a081+a087);
-  a087=(a111*a081);
-  a031=(a031-a087);
-  if (res[2]!=0) res[2][13]=a031;
-  a031=(a053*a012);
-  a087=(a090*a009);
-  a031=(a031+a087);
-  a087=(a111*a067);
-  a031=(a031-a087);
-  if (res[2]!=0) res[2][14]=a031;
-  if (res[2]!=0) res[2][15]=a054;
-  a063=(a119*a063);
-  a029=(a099*a029);
-  a063=(a063+a029);
-  a081=(a000*a081);
-  a063=(a063-a081);
-  if (res[2]!=0) res[2][16]=a063;
-  a012=(a119*a012);
-  a009=(a099*a009);
-  a012=(a012+a009);
-  a067=(a000*a067);
-  a012=(a012-a067);
-  if (res[2]!=0) res[2][17]=a012;
-  if (res[2]!=0) res[2][18]=a054;
-  a012=(a002*a017);
-  a067=(a053*a012);
-  a017=(a016*a017);
-  a009=(a090*a017);
-  a067=(a067+a009);
-  a037=(a036-a037);
-  a016=(a016*a037);
-  a014=(a021-a014);
-  a002=(a002*a014);
-  a016=(a016+a002);
-  a002=(a111*a016);
-  a067=(a067-a002);
-  if (res[2]!=0) res[2][19]=a067;
-  a067=(a053*a007);
-  a002=(a090*a043);
-  a067=(a067+a002);
-  a002=(a111*a068);
-  a067=(a067-a002);
-  if (res[2]!=0) res[2][20]=a067;
-  if (res[2]!=0) res[2][21]=a054;
-  a012=(a119*a012);
-  a017=(a099*a017);
-  a012=(a012+a017);
-  a016=(a000*a016);
-  a012=(a012-a016);
-  if (res[2]!=0) res[2][22]=a012;
-  a007=(a119*a007);
-  a043=(a099*a043);
-  a007=(a007+a043);
-  a068=(a000*a068);
-  a007=(a007-a068);
-  if (res[2]!=0) res[2][23]=a007;
-  if (res[2]!=0) res[2][24]=a054;
-  if (res[2]!=0) res[2][25]=a054;
-  a007=(a090*a044);
-  a068=(a053*a045);
-  a007=(a007-a068);
-  a068=(a111*a046);
-  a007=(a007-a068);
-  if (res[2]!=0) res[2][26]=a007;
-  if (res[2]!=0) res[2][27]=a054;
-  if (res[2]!=0) res[2][28]=a054;
-  a044=(a099*a044);
-  a045=(a119*a045);
-  a044=(a044-a045);
-  a046=(a000*a046);
-  a044=(a044-a046);
-  if (res[2]!=0) res[2][29]=a044;
-  if (res[2]!=0) res[2][30]=a054;
-  if (res[2]!=0) res[2][31]=a054;
-  if (res[2]!=0) res[2][32]=a054;
-  if (res[2]!=0) res[2][33]=a054;
-  if (res[2]!=0) res[2][34]=a054;
-  if (res[2]!=0) res[2][35]=a054;
-  a054=arg[4]? arg[4][0] : 0;
-  a044=(a053*a006);
-  a046=(a090*a034);
-  a044=(a044+a046);
-  a046=(a111*a041);
-  a044=(a044+a046);
-  a046=arg[2]? arg[2][0] : 0;
-  a044=(a044-a046);
-  a045=arg[3]? arg[3][0] : 0;
-  a007=(a044-a045);
-  a007=(a054*a007);
-  if (res[3]!=0) res[3][0]=a007;
-  a007=(a053*a021);
-  a068=(a090*a036);
-  a007=(a007+a068);
-  a068=(a111*a013);
-  a007=(a007+a068);
-  a007=(a007-a046);
-  a068=(a007-a045);
-  a068=(a054*a068);
-  if (res[3]!=0) res[3][1]=a068;
-  a053=(a053*a027);
-  a090=(a090*a038);
-  a053=(a053+a090);
-  a111=(a111*a022);
-  a053=(a053+a111);
-  a053=(a053-a046);
-  a045=(a053-a045);
-  a045=(a054*a045);
-  if (res[3]!=0) res[3][2]=a045;
-  a006=(a119*a006);
-  a034=(a099*a034);
-  a006=(a006+a034);
-  a041=(a000*a041);
-  a006=(a006+a041);
-  a041=arg[2]? arg[2][1] : 0;
-  a006=(a006-a041);
-  a034=arg[3]? arg[3][1] : 0;
-  a045=(a006-a034);
-  a045=(a054*a045);
-  if (res[3]!=0) res[3][3]=a045;
-  a021=(a119*a021);
-  a036=(a099*a036);
-  a021=(a021+a036);
-  a013=(a000*a013);
-  a021=(a021+a013);
-  a021=(a021-a041);
-  a013=(a021-a034);
-  a013=(a054*a013);
-  if (res[3]!=0) res[3][4]=a013;
-  a119=(a119*a027);
-  a099=(a099*a038);
-  a119=(a119+a099);
-  a000=(a000*a022);
-  a119=(a119+a000);
-  a119=(a119-a041);
-  a034=(a119-a034);
-  a054=(a054*a034);
-  if (res[3]!=0) res[3][5]=a054;
-  a054=(-a093);
-  if (res[4]!=0) res[4][0]=a054;
-  a054=(-a103);
-  if (res[4]!=0) res[4][1]=a054;
-  a054=(-a106);
-  if (res[4]!=0) res[4][2]=a054;
-  a054=(-a108);
-  if (res[4]!=0) res[4][3]=a054;
-  a054=(-a102);
-  if (res[4]!=0) res[4][4]=a054;
-  a054=(-a015);
-  if (res[4]!=0) res[4][5]=a054;
-  if (res[5]!=0) res[5][0]=a093;
-  if (res[5]!=0) res[5][1]=a103;
-  if (res[5]!=0) res[5][2]=a106;
-  if (res[5]!=0) res[5][3]=a108;
-  if (res[5]!=0) res[5][4]=a102;
-  if (res[5]!=0) res[5][5]=a015;
-  a015=arg[20]? arg[20][0] : 0;
-  if (res[6]!=0) res[6][0]=a015;
-  if (res[6]!=0) res[6][1]=a001;
-  a102=6.2831853071795862e+00;
-  a102=(a102*a015);
-  a015=arg[18]? arg[18][0] : 0;
-  a015=(a102*a015);
-  a108=(a055+a015);
-  a015=(a015/a108);
-  if (res[6]!=0) res[6][2]=a015;
-  a015=(a055-a015);
-  a015=(a015*a001);
-  if (res[6]!=0) res[6][3]=a015;
-  a015=arg[19]? arg[19][0] : 0;
-  if (res[6]!=0) res[6][4]=a015;
-  a015=(a055-a015);
-  if (res[6]!=0) res[6][5]=a015;
-  if (res[6]!=0) res[6][6]=a003;
-  a015=arg[18]? arg[18][1] : 0;
-  a015=(a102*a015);
-  a001=(a055+a015);
-  a015=(a015/a001);
-  if (res[6]!=0) res[6][7]=a015;
-  a015=(a055-a015);
-  a015=(a015*a003);
-  if (res[6]!=0) res[6][8]=a015;
-  if (res[6]!=0) res[6][9]=a008;
-  a015=arg[18]? arg[18][2] : 0;
-  a015=(a102*a015);
-  a003=(a055+a015);
-  a015=(a015/a003);
-  if (res[6]!=0) res[6][10]=a015;
-  a015=(a055-a015);
-  a015=(a015*a008);
-  if (res[6]!=0) res[6][11]=a015;
-  if (res[6]!=0) res[6][12]=a018;
-  a015=arg[18]? arg[18][3] : 0;
-  a015=(a102*a015);
-  a008=(a055+a015);
-  a015=(a015/a008);
-  if (res[6]!=0) res[6][13]=a015;
-  a015=(a055-a015);
-  a015=(a015*a018);
-  if (res[6]!=0) res[6][14]=a015;
-  if (res[6]!=0) res[6][15]=a023;
-  a015=arg[18]? arg[18][4] : 0;
-  a015=(a102*a015);
-  a018=(a055+a015);
-  a015=(a015/a018);
-  if (res[6]!=0) res[6][16]=a015;
-  a015=(a055-a015);
-  a015=(a015*a023);
-  if (res[6]!=0) res[6][17]=a015;
-  if (res[6]!=0) res[6][18]=a026;
-  a015=arg[18]? arg[18][5] : 0;
-  a102=(a102*a015);
-  a015=(a055+a102);
-  a102=(a102/a015);
-  if (res[6]!=0) res[6][19]=a102;
-  a055=(a055-a102);
-  a055=(a055*a026);
-  if (res[6]!=0) res[6][20]=a055;
-  if (res[6]!=0) res[6][21]=a044;
-  if (res[6]!=0) res[6][22]=a007;
-  if (res[6]!=0) res[6][23]=a053;
-  if (res[6]!=0) res[6][24]=a006;
-  if (res[6]!=0) res[6][25]=a021;
-  if (res[6]!=0) res[6][26]=a119;
-  if (res[6]!=0) res[6][27]=a027;
-  if (res[6]!=0) res[6][28]=a038;
-  if (res[6]!=0) res[6][29]=a022;
-  if (res[6]!=0) res[6][30]=a030;
-  if (res[6]!=0) res[6][31]=a032;
-  if (res[6]!=0) res[6][32]=a039;
-  if (res[6]!=0) res[6][33]=a074;
-  if (res[6]!=0) res[6][34]=a084;
-  a074=(-a074);
-  if (res[6]!=0) res[6][35]=a074;
-  a084=(-a084);
-  if (res[6]!=0) res[6][36]=a084;
-  return 0;
-}
-
-/* qp_look:(i0[6],i1[21],i2[36],i3[6],i4[6],i5[6])->(o0[2]) */
-static int casadi_f4(const casadi_real** arg, casadi_real** res, casadi_int* iw, casadi_real* w, int mem) {
-  casadi_real a00, a01, a02, a03, a04, a05, a06, a07, a08, a09, a10, a11;
-  casadi_real a12, a13, a14, a15, a16, a17, a18, a19, a20, a21, a22, a23;
-  casadi_real a24, a25, a26, a27, a28, a29, a30, a31, a32, a33, a34, a35;
-  casadi_real a36, a37, a38, a39, a40, a41, a42;
-  a00=9.9999999999999998e-13;
-  a01=arg[2]? arg[2][0] : 0;
-  a02=arg[0]? arg[0][0] : 0;
-  a01=(a01*a02);
-  a03=arg[2]? arg[2][6] : 0;
-  a04=arg[0]? arg[0][1] : 0;
-  a03=(a03*a04);
-  a01=(a01+a03);
-  a03=arg[2]? arg[2][12] : 0;
-  a05=arg[0]? arg[0][2] : 0;
-  a03=(a03*a05);
-  a01=(a01+a03);
-  a03=arg[2]? arg[2][18] : 0;
-  a06=arg[0]? arg[0][3] : 0;
-  a03=(a03*a06);
-  a01=(a01+a03);
-  a03=arg[2]? arg[2][24] : 0;
-  a07=arg[0]? arg[0][4] : 0;
-  a03=(a03*a07);
-  a01=(a01+a03);
-  a03=arg[2]? arg[2][30] : 0;
-  a08=arg[0]? arg[0][5] : 0;
-  a03=(a03*a08);
-  a01=(a01+a03);
-  a03=arg[3]? arg[3][0] : 0;
-  a01=(a01-a03);
-  a03=(a00<a01);
-  a01=(a03?a01:0);
-  a03=(!a03);
-  a00=(a03?a00:0);
-  a01=(a01+a00);
-  a00=arg[2]? arg[2][1] : 0;
-  a00=(a00*a02);
-  a09=arg[2]? arg[2][7] : 0;
-  a09=(a09*a04);
-  a00=(a00+a09);
-  a09=arg[2]? arg[2][13] : 0;
-  a09=(a09*a05);
-  a00=(a00+a09);
-  a09=arg[2]? arg[2][19] : 0;
-  a09=(a09*a06);
-  a00=(a00+a09);
-  a09=arg[2]? arg[2][25] : 0;
-  a09=(a09*a07);
-  a00=(a00+a09);
-  a09=arg[2]? arg[2][31] : 0;
-  a09=(a09*a08);
-  a00=(a00+a09);
-  a09=arg[3]? arg[3][1] : 0;
-  a00=(a00-a09);
-  a09=(a01<a00);
-  a00=(a09?a00:0);
-  a10=(!a09);
-  a01=(a10?a01:0);
-  a00=(a00+a01);
-  a01=arg[2]? arg[2][2] : 0;
-  a01=(a01*a02);
-  a11=arg[2]? arg[2][8] : 0;
-  a11=(a11*a04);
-  a01=(a01+a11);
-  a11=arg[2]? arg[2][14] : 0;
-  a11=(a11*a05);
-  a01=(a01+a11);
-  a11=arg[2]? arg[2][20] : 0;
-  a11=(a11*a06);
-  a01=(a01+a11);
-  a11=arg[2]? arg[2][26] : 0;
-  a11=(a11*a07);
-  a01=(a01+a11);
-  a11=arg[2]? arg[2][32] : 0;
-  a11=(a11*a08);
-  a01=(a01+a11);
-  a11=arg[3]? arg[3][2] : 0;
-  a01=(a01-a11);
-  a11=(a00<a01);
-  a01=(a11?a01:0);
-  a12=(!a11);
-  a00=(a12?a00:0);
-  a01=(a01+a00);
-  a00=arg[2]? arg[2][3] : 0;
-  a00=(a00*a02);
-  a13=arg[2]? arg[2][9] : 0;
-  a13=(a13*a04);
-  a00=(a00+a13);
-  a13=arg[2]? arg[2][15] : 0;
-  a13=(a13*a05);
-  a00=(a00+a13);
-  a13=arg[2]? arg[2][21] : 0;
-  a13=(a13*a06);
-  a00=(a00+a13);
-  a13=arg[2]? arg[2][27] : 0;
-  a13=(a13*a07);
-  a00=(a00+a13);
-  a13=arg[2]? arg[2][33] : 0;
-  a13=(a13*a08);
-  a00=(a00+a13);
-  a13=arg[3]? arg[3][3] : 0;
-  a00=(a00-a13);
-  a13=(a01<a00);
-  a00=(a13?a00:0);
-  a14=(!a13);
-  a01=(a14?a01:0);
-  a00=(a00+a01);
-  a01=arg[2]? arg[2][4] : 0;
-  a01=(a01*a02);
-  a15=arg[2]? arg[2][10] : 0;
-  a15=(a15*a04);
-  a01=(a01+a15);
-  a15=arg[2]? arg[2][16] : 0;
-  a15=(a15*a05);
-  a01=(a01+a15);
-  a15=arg[2]? arg[2][22] : 0;
-  a15=(a15*a06);
-  a01=(a01+a15);
-  a15=arg[2]? arg[2][28] : 0;
-  a15=(a15*a07);
-  a01=(a01+a15);
-  a15=arg[2]? arg[2][34] : 0;
-  a15=(a15*a08);
-  a01=(a01+a15);
-  a15=arg[3]? arg[3][4] : 0;
-  a01=(a01-a15);
-  a15=(a00<a01);
-  a01=(a15?a01:0);
-  a16=(!a15);
-  a00=(a16?a00:0);
-  a01=(a01+a00);
-  a00=arg[2]? arg[2][5] : 0;
-  a00=(a00*a02);
-  a17=arg[2]? arg[2][11] : 0;
-  a17=(a17*a04);
-  a00=(a00+a17);
-  a17=arg[2]? arg[2][17] : 0;
-  a17=(a17*a05);
-  a00=(a00+a17);
-  a17=arg[2]? arg[2][23] : 0;
-  a17=(a17*a06);
-  a00=(a00+a17);
-  a17=arg[2]? arg[2][29] : 0;
-  a17=(a17*a07);
-  a00=(a00+a17);
-  a17=arg[2]? arg[2][35] : 0;
-  a17=(a17*a08);
-  a00=(a00+a17);
-  a17=arg[3]? arg[3][5] : 0;
-  a00=(a00-a17);
-  a17=(a01<a00);
-  a00=(a17?a00:0);
-  a18=(!a17);
-  a01=(a18?a01:0);
-  a00=(a00+a01);
-  a01=arg[4]? arg[4][0] : 0;
-  a01=(a01-a02);
-  a19=arg[5]? arg[5][0] : 0;
-  a02=(a02-a19);
-  a19=(a01<a02);
-  a20=(a19?a02:0);
-  a19=(!a19);
-  a19=(a19?a01:0);
-  a20=(a20+a19);
-  a19=(a00<a20);
-  a20=(a19?a20:0);
-  a21=(!a19);
-  a00=(a21?a00:0);
-  a20=(a20+a00);
-  a00=arg[4]? arg[4][1] : 0;
-  a00=(a00-a04);
-  a22=arg[5]? arg[5][1] : 0;
-  a04=(a04-a22);
-  a22=(a00<a04);
-  a23=(a22?a04:0);
-  a22=(!a22);
-  a22=(a22?a00:0);
-  a23=(a23+a22);
-  a22=(a20<a23);
-  a23=(a22?a23:0);
-  a24=(!a22);
-  a20=(a24?a20:0);
-  a23=(a23+a20);
-  a20=arg[4]? arg[4][2] : 0;
-  a20=(a20-a05);
-  a25=arg[5]? arg[5][2] : 0;
-  a05=(a05-a25);
-  a25=(a20<a05);
-  a26=(a25?a05:0);
-  a25=(!a25);
-  a25=(a25?a20:0);
-  a26=(a26+a25);
-  a25=(a23<a26);
-  a26=(a25?a26:0);
-  a27=(!a25);
-  a23=(a27?a23:0);
-  a26=(a26+a23);
-  a23=arg[4]? arg[4][3] : 0;
-  a23=(a23-a06);
-  a28=arg[5]? arg[5][3] : 0;
-  a06=(a06-a28);
-  a28=(a23<a06);
-  a29=(a28?a06:0);
-  a28=(!a28);
-  a28=(a28?a23:0);
-  a29=(a29+a28);
-  a28=(a26<a29);
-  a29=(a28?a29:0);
-  a30=(!a28);
-  a26=(a30?a26:0);
-  a29=(a29+a26);
-  a26=arg[4]? arg[4][4] : 0;
-  a26=(a26-a07);
-  a31=arg[5]? arg[5][4] : 0;
-  a07=(a07-a31);
-  a31=(a26<a07);
-  a32=(a31?a07:0);
-  a31=(!a31);
-  a31=(a31?a26:0);
-  a32=(a32+a31);
-  a31=(a29<a32);
-  a32=(a31?a32:0);
-  a33=(!a31);
-  a29=(a33?a29:0);
-  a32=(a32+a29);
-  a29=arg[4]? arg[4][5] : 0;
-  a29=(a29-a08);
-  a34=arg[5]? arg[5][5] : 0;
-  a08=(a08-a34);
-  a34=(a29<a08);
-  a35=(a34?a08:0);
-  a34=(!a34);
-  a34=(a34?a29:0);
-  a35=(a35+a34);
-  a32=(a32<a35);
-  a35=11.;
-  a35=(a32?a35:0);
-  a34=(!a32);
-  a36=10.;
-  a36=(a31?a36:0);
-  a37=9.;
-  a37=(a28?a37:0);
-  a38=8.;
-  a38=(a25?a38:0);
-  a39=7.;
-  a39=(a22?a39:0);
-  a40=6.;
-  a40=(a19?a40:0);
-  a41=5.;
-  a17=(a17?a41:0);
-  a41=4.;
-  a15=(a15?a41:0);
-  a41=3.;
-  a13=(a13?a41:0);
-  a41=2.;
-  a11=(a11?a41:0);
-  a41=1.;
-  a09=(a09?a41:0);
-  a42=-1.;
-  a03=(a03?a42:0);
-  a10=(a10?a03:0);
-  a09=(a09+a10);
-  a12=(a12?a09:0);
-  a11=(a11+a12);
-  a14=(a14?a11:0);
-  a13=(a13+a14);
-  a16=(a16?a13:0);
-  a15=(a15+a16);
-  a18=(a18?a15:0);
-  a17=(a17+a18);
-  a17=(a21?a17:0);
-  a40=(a40+a17);
-  a40=(a24?a40:0);
-  a39=(a39+a40);
-  a39=(a27?a39:0);
-  a38=(a38+a39);
-  a38=(a30?a38:0);
-  a37=(a37+a38);
-  a37=(a33?a37:0);
-  a36=(a36+a37);
-  a36=(a34?a36:0);
-  a35=(a35+a36);
-  if (res[0]!=0) res[0][0]=a35;
-  a29=(a29<=a08);
-  a08=(a29?a41:0);
-  a29=(!a29);
-  a29=(a29?a42:0);
-  a08=(a08+a29);
-  a32=(a32?a08:0);
-  a26=(a26<=a07);
-  a07=(a26?a41:0);
-  a26=(!a26);
-  a26=(a26?a42:0);
-  a07=(a07+a26);
-  a31=(a31?a07:0);
-  a23=(a23<=a06);
-  a06=(a23?a41:0);
-  a23=(!a23);
-  a23=(a23?a42:0);
-  a06=(a06+a23);
-  a28=(a28?a06:0);
-  a20=(a20<=a05);
-  a05=(a20?a41:0);
-  a20=(!a20);
-  a20=(a20?a42:0);
-  a05=(a05+a20);
-  a25=(a25?a05:0);
-  a00=(a00<=a04);
-  a04=(a00?a41:0);
-  a00=(!a00);
-  a00=(a00?a42:0);
-  a04=(a04+a00);
-  a22=(a22?a04:0);
-  a01=(a01<=a02);
-  a02=(a01?a41:0);
-  a01=(!a01);
-  a01=(a01?a42:0);
-  a02=(a02+a01);
-  a19=(a19?a02:0);
-  a21=(a21?a41:0);
-  a19=(a19+a21);
-  a24=(a24?a19:0);
-  a22=(a22+a24);
-  a27=(a27?a22:0);
-  a25=(a25+a27);
-  a30=(a30?a25:0);
-  a28=(a28+a30);
-  a33=(a33?a28:0);
-  a31=(a31+a33);
-  a34=(a34?a31:0);
-  a32=(a32+a34);
-  if (res[0]!=0) res[0][1]=a32;
-  return 0;
-}
-
-/* qp_idle:(i0[6],i1[21],i2[36],i3[6],i4[6],i5[6],i6[2])->(o0[6],o1[12],o2,o3) */
-static int casadi_f6(const casadi_real** arg, casadi_real** res, casadi_int* iw, casadi_real* w, int mem) {
-  casadi_real *w0=w+0, *w1=w+6, w2;
-  /* #0: @0 = input[0][0] */
-  casadi_copy(arg[0], 6, w0);
-  /* #1: output[0][0] = @0 */
-  casadi_copy(w0, 6, res[0]);
-  /* #2: @1 = zeros(12x1) */
-  casadi_clear(w1, 12);
-  /* #3: output[1][0] = @1 */
-  casadi_copy(w1, 12, res[1]);
-  /* #4: @2 = 0 */
-  w2 = 0.;
-  /* #5: output[2][0] = @2 */
-  if (res[2]) res[2][0] = w2;
-  /* #6: @2 = 1 */
-  w2 = 1.;
-  /* #7: output[3][0] = @2 */
-  if (res[3]) res[3][0] = w2;
-  return 0;
-}
-
-/* qp_begin:(i0[6],i1[21],i2[36],i3[6],i4[6],i5[6],i6[2])->(o0[120],o1[6],o2[9],o3[9],o4[9],o5[12],o6[4]) */
-static int casadi_f8(const casadi_real** arg, casadi_real** res, casadi_int* iw, casadi_real* w, int mem) {
-  casadi_real a0, a1;
-  a0=arg[1]? arg[1][0] : 0;
-  if (res[0]!=0) res[0][0]=a0;
-  a0=arg[1]? arg[1][1] : 0;
-  if (res[0]!=0) res[0][1]=a0;
-  a0=arg[1]? arg[1][2] : 0;
-  if (res[0]!=0) res[0][2]=a0;
-  a0=arg[1]? arg[1][3] : 0;
-  if (res[0]!=0) res[0][3]=a0;
-  a0=arg[1]? arg[1][4] : 0;
-  if (res[0]!=0) res[0][4]=a0;
-  a0=arg[1]? arg[1][5] : 0;
-  if (res[0]!=0) res[0][5]=a0;
-  a0=arg[1]? arg[1][6] : 0;
-  if (res[0]!=0) res[0][6]=a0;
-  a0=arg[1]? arg[1][7] : 0;
-  if (res[0]!=0) res[0][7]=a0;
-  a0=arg[1]? arg[1][8] : 0;
-  if (res[0]!=0) res[0][8]=a0;
-  a0=arg[1]? arg[1][9] : 0;
-  if (res[0]!=0) res[0][9]=a0;
-  a0=arg[1]? arg[1][10] : 0;
-  if (res[0]!=0) res[0][10]=a0;
-  a0=arg[1]? arg[1][11] : 0;
-  if (res[0]!=0) res[0][11]=a0;
-  a0=arg[1]? arg[1][12] : 0;
-  if (res[0]!=0) res[0][12]=a0;
-  a0=arg[1]? arg[1][13] : 0;
-  if (res[0]!=0) res[0][13]=a0;
-  a0=arg[1]? arg[1][14] : 0;
-  if (res[0]!=0) res[0][14]=a0;
-  a0=arg[1]? arg[1][15] : 0;
-  if (res[0]!=0) res[0][15]=a0;
-  a0=arg[1]? arg[1][16] : 0;
-  if (res[0]!=0) res[0][16]=a0;
-  a0=arg[1]? arg[1][17] : 0;
-  if (res[0]!=0) res[0][17]=a0;
-  a0=arg[1]? arg[1][18] : 0;
-  if (res[0]!=0) res[0][18]=a0;
-  a0=arg[1]? arg[1][19] : 0;
-  if (res[0]!=0) res[0][19]=a0;
-  a0=arg[1]? arg[1][20] : 0;
-  if (res[0]!=0) res[0][20]=a0;
-  a0=0.;
-  if (res[0]!=0) res[0][21]=a0;
-  if (res[0]!=0) res[0][22]=a0;
-  if (res[0]!=0) res[0][23]=a0;
-  if (res[0]!=0) res[0][24]=a0;
-  if (res[0]!=0) res[0][25]=a0;
-  if (res[0]!=0) res[0][26]=a0;
-  if (res[0]!=0) res[0][27]=a0;
-  if (res[0]!=0) res[0][28]=a0;
-  if (res[0]!=0) res[0][29]=a0;
-  if (res[0]!=0) res[0][30]=a0;
-  if (res[0]!=0) res[0][31]=a0;
-  if (res[0]!=0) res[0][32]=a0;
-  if (res[0]!=0) res[0][33]=a0;
-  if (res[0]!=0) res[0][34]=a0;
-  if (res[0]!=0) res[0][35]=a0;
-  if (res[0]!=0) res[0][36]=a0;
-  if (res[0]!=0) res[0][37]=a0;
-  if (res[0]!=0) res[0][38]=a0;
-  if (res[0]!=0) res[0][39]=a0;
-  if (res[0]!=0) res[0][40]=a0;
-  if (res[0]!=0) res[0][41]=a0;
-  if (res[0]!=0) res[0][42]=a0;
-  if (res[0]!=0) res[0][43]=a0;
-  if (res[0]!=0) res[0][44]=a0;
-  if (res[0]!=0) res[0][45]=a0;
-  if (res[0]!=0) res[0][46]=a0;
-  if (res[0]!=0) res[0][47]=a0;
-  if (res[0]!=0) res[0][48]=a0;
-  if (res[0]!=0) res[0][49]=a0;
-  if (res[0]!=0) res[0][50]=a0;
-  if (res[0]!=0) res[0][51]=a0;
-  if (res[0]!=0) res[0][52]=a0;
-  if (res[0]!=0) res[0][53]=a0;
-  if (res[0]!=0) res[0][54]=a0;
-  if (res[0]!=0) res[0][55]=a0;
-  if (res[0]!=0) res[0][56]=a0;
-  if (res[0]!=0) res[0][57]=a0;
-  if (res[0]!=0) res[0][58]=a0;
-  if (res[0]!=0) res[0][59]=a0;
-  if (res[0]!=0) res[0][60]=a0;
-  if (res[0]!=0) res[0][61]=a0;
-  if (res[0]!=0) res[0][62]=a0;
-  if (res[0]!=0) res[0][63]=a0;
-  if (res[0]!=0) res[0][64]=a0;
-  if (res[0]!=0) res[0][65]=a0;
-  if (res[0]!=0) res[0][66]=a0;
-  if (res[0]!=0) res[0][67]=a0;
-  if (res[0]!=0) res[0][68]=a0;
-  if (res[0]!=0) res[0][69]=a0;
-  if (res[0]!=0) res[0][70]=a0;
-  if (res[0]!=0) res[0][71]=a0;
-  if (res[0]!=0) res[0][72]=a0;
-  if (res[0]!=0) res[0][73]=a0;
-  if (res[0]!=0) res[0][74]=a0;
-  if (res[0]!=0) res[0][75]=a0;
-  if (res[0]!=0) res[0][76]=a0;
-  if (res[0]!=0) res[0][77]=a0;
-  if (res[0]!=0) res[0][78]=a0;
-  if (res[0]!=0) res[0][79]=a0;
-  if (res[0]!=0) res[0][80]=a0;
-  if (res[0]!=0) res[0][81]=a0;
-  if (res[0]!=0) res[0][82]=a0;
-  if (res[0]!=0) res[0][83]=a0;
-  if (res[0]!=0) res[0][84]=a0;
-  if (res[0]!=0) res[0][85]=a0;
-  if (res[0]!=0) res[0][86]=a0;
-  if (res[0]!=0) res[0][87]=a0;
-  if (res[0]!=0) res[0][88]=a0;
-  if (res[0]!=0) res[0][89]=a0;
-  if (res[0]!=0) res[0][90]=a0;
-  if (res[0]!=0) res[0][91]=a0;
-  if (res[0]!=0) res[0][92]=a0;
-  if (res[0]!=0) res[0][93]=a0;
-  if (res[0]!=0) res[0][94]=a0;
-  if (res[0]!=0) res[0][95]=a0;
-  if (res[0]!=0) res[0][96]=a0;
-  if (res[0]!=0) res[0][97]=a0;
-  if (res[0]!=0) res[0][98]=a0;
-  if (res[0]!=0) res[0][99]=a0;
-  if (res[0]!=0) res[0][100]=a0;
-  if (res[0]!=0) res[0][101]=a0;
-  if (res[0]!=0) res[0][102]=a0;
-  if (res[0]!=0) res[0][103]=a0;
-  if (res[0]!=0) res[0][104]=a0;
-  if (res[0]!=0) res[0][105]=a0;
-  if (res[0]!=0) res[0][106]=a0;
-  if (res[0]!=0) res[0][107]=a0;
-  if (res[0]!=0) res[0][108]=a0;
-  if (res[0]!=0) res[0][109]=a0;
-  if (res[0]!=0) res[0][110]=a0;
-  if (res[0]!=0) res[0][111]=a0;
-  if (res[0]!=0) res[0][112]=a0;
-  if (res[0]!=0) res[0][113]=a0;
-  if (res[0]!=0) res[0][114]=a0;
-  if (res[0]!=0) res[0][115]=a0;
-  if (res[0]!=0) res[0][116]=a0;
-  if (res[0]!=0) res[0][117]=a0;
-  if (res[0]!=0) res[0][118]=a0;
-  if (res[0]!=0) res[0][119]=a0;
-  a1=arg[0]? arg[0][0] : 0;
-  if (res[1]!=0) res[1][0]=a1;
-  a1=arg[0]? arg[0][1] : 0;
-  if (res[1]!=0) res[1][1]=a1;
-  a1=arg[0]? arg[0][2] : 0;
-  if (res[1]!=0) res[1][2]=a1;
-  a1=arg[0]? arg[0][3] : 0;
-  if (res[1]!=0) res[1][3]=a1;
-  a1=arg[0]? arg[0][4] : 0;
-  if (res[1]!=0) res[1][4]=a1;
-  a1=arg[0]? arg[0][5] : 0;
-  if (res[1]!=0) res[1][5]=a1;
-  if (res[2]!=0) res[2][0]=a0;
-  if (res[2]!=0) res[2][1]=a0;
-  if (res[2]!=0) res[2][2]=a0;
-  if (res[2]!=0) res[2][3]=a0;
-  if (res[2]!=0) res[2][4]=a0;
-  if (res[2]!=0) res[2][5]=a0;
-  if (res[2]!=0) res[2][6]=a0;
-  if (res[2]!=0) res[2][7]=a0;
-  if (res[2]!=0) res[2][8]=a0;
-  if (res[3]!=0) res[3][0]=a0;
-  if (res[3]!=0) res[3][1]=a0;
-  if (res[3]!=0) res[3][2]=a0;
-  if (res[3]!=0) res[3][3]=a0;
-  if (res[3]!=0) res[3][4]=a0;
-  if (res[3]!=0) res[3][5]=a0;
-  if (res[3]!=0) res[3][6]=a0;
-  if (res[3]!=0) res[3][7]=a0;
-  if (res[3]!=0) res[3][8]=a0;
-  a1=-1.;
-  if (res[4]!=0) res[4][0]=a1;
-  if (res[4]!=0) res[4][1]=a1;
-  if (res[4]!=0) res[4][2]=a1;
-  if (res[4]!=0) res[4][3]=a1;
-  if (res[4]!=0) res[4][4]=a1;
-  if (res[4]!=0) res[4][5]=a1;
-  if (res[4]!=0) res[4][6]=a1;
-  if (res[4]!=0) res[4][7]=a1;
-  if (res[4]!=0) res[4][8]=a1;
-  a1=1.;
-  if (res[5]!=0) res[5][0]=a1;
-  if (res[5]!=0) res[5][1]=a1;
-  if (res[5]!=0) res[5][2]=a1;
-  if (res[5]!=0) res[5][3]=a1;
-  if (res[5]!=0) res[5][4]=a1;
-  if (res[5]!=0) res[5][5]=a1;
-  if (res[5]!=0) res[5][6]=a1;
-  if (res[5]!=0) res[5][7]=a1;
-  if (res[5]!=0) res[5][8]=a1;
-  if (res[5]!=0) res[5][9]=a1;
-  if (res[5]!=0) res[5][10]=a1;
-  if (res[5]!=0) res[5][11]=a1;
-  a1=arg[6]? arg[6][0] : 0;
-  if (res[6]!=0) res[6][0]=a1;
-  a1=arg[6]? arg[6][1] : 0;
-  if (res[6]!=0) res[6][1]=a1;
-  if (res[6]!=0) res[6][2]=a0;
-  if (res[6]!=0) res[6][3]=a0;
-  return 0;
-}
-
-/* qp_step:(i0[6],i1[21],i2[36],i3[6],i4[6],i5[6],i6[120],i7[6],i8[9],i9[9],i10[9],i11[12],i12[4])->(o0[120],o1[6],o2[9],o3[9],o4[9],o5[12],o6[4]) */
-static int casadi_f10(const casadi_real** arg, casadi_real** res, casadi_int* iw, casadi_real* w, int mem) {
-  casadi_real a000, a001, a002, a003, a004, a005, a006, a007, a008, a009, a010, a011;
-  casadi_real a012, a013, a014, a015, a016, a017, a018, a019, a020, a021, a022, a023;
-  casadi_real a024, a025, a026, a027, a028, a029, a030, a031, a032, a033, a034, a035;
-  casadi_real a036, a037, a038, a039, a040, a041, a042, a043, a044, a045, a046, a047;
-  casadi_real a048, a049, a050, a051, a052, a053, a054, a055, a056, a057, a058, a059;
-  casadi_real a060, a061, a062, a063, a064, a065, a066, a067, a068, a069, a070, a071;
-  casadi_real a072, a073, a074, a075, a076, a077, a078, a079, a080, a081, a082, a083;
-  casadi_real a084, a085, a086, a087, a088, a089, a090, a091, a092, a093, a094, a095;
-  casadi_real a096, a097, a098, a099, a100, a101, a102, a103, a104, a105, a106, a107;
-  casadi_real a108, a109, a110, a111, a112, a113, a114, a115, a116, a117, a118, a119;
-  casadi_real a120, a121, a122, a123, a124, a125, a126, a127, a128, a129, a130, a131;
-  casadi_real a132, a133, a134, a135, a136, a137, a138, a139, a140, a141, a142, a143;
-  casadi_real a144, a145, a146, a147, a148, a149, a150, a151, a152, a153, a154, a155;
-  casadi_real a156, a157, a158, a159, a160, a161, a162, a163, a164, a165, a166, a167;
-  casadi_real a168, a169, a170, a171, a172, a173, a174, a175, a176, a177, a178, a179;
-  casadi_real a180, a181, a182, a183, a184, a185, a186, a187, a188, a189, a190, a191;
-  casadi_real a192, a193, a194, a195, a196, a197, a198, a199, a200, a201, a202, a203;
-  casadi_real a204, a205, a206, a207, a208, a209, a210, a211, a212, a213, a214, a215;
-  casadi_real a216, a217, a218, a219, a220, a221, a222, a223, a224, a225, a226, a227;
-  casadi_real a228, a229, a230, a231, a232, a233, a234, a235, a236, a237, a238, a239;
-  casadi_real a240, a241, a242, a243, a244, a245, a246, a247, a248, a249, a250, a251;
-  casadi_real a252, a253, a254, a255, a256, a257;
-  a000=arg[6]? arg[6][0] : 0;
-  a001=0.;
-  a002=arg[6]? arg[6][105] : 0;
-  a003=arg[12]? arg[12][0] : 0;
-  a004=(a003==a001);
-  a005=arg[2]? arg[2][0] : 0;
-  a006=(a004?a005:0);
-  a007=1.;
-  a008=(a003==a007);
-  a009=arg[2]? arg[2][1] : 0;
-  a010=(a008?a009:0);
-  a006=(a006+a010);
-  a010=2.;
-  a011=(a003==a010);
-  a012=arg[2]? arg[2][2] : 0;
-  a013=(a011?a012:0);
-  a006=(a006+a013);
-  a013=3.;
-  a014=(a003==a013);
-  a015=arg[2]? arg[2][3] : 0;
-  a016=(a014?a015:0);
-  a006=(a006+a016);
-  a016=4.;
-  a017=(a003==a016);
-  a018=arg[2]? arg[2][4] : 0;
-  a019=(a017?a018:0);
-  a006=(a006+a019);
-  a019=5.;
-  a020=(a003==a019);
-  a021=arg[2]? arg[2][5] : 0;
-  a022=(a020?a021:0);
-  a006=(a006+a022);
-  a022=6.;
-  a023=(a003==a022);
-  a024=arg[12]? arg[12][1] : 0;
-  a025=(a023?a024:0);
-  a006=(a006+a025);
-  a025=(a002*a006);
-  a026=arg[6]? arg[6][106] : 0;
-  a027=arg[2]? arg[2][6] : 0;
-  a028=(a004?a027:0);
-  a029=arg[2]? arg[2][7] : 0;
-  a030=(a008?a029:0);
-  a028=(a028+a030);
-  a030=arg[2]? arg[2][8] : 0;
-  a031=(a011?a030:0);
-  a028=(a028+a031);
-  a031=arg[2]? arg[2][9] : 0;
-  a032=(a014?a031:0);
-  a028=(a028+a032);
-  a032=arg[2]? arg[2][10] : 0;
-  a033=(a017?a032:0);
-  a028=(a028+a033);
-  a033=arg[2]? arg[2][11] : 0;
-  a034=(a020?a033:0);
-  a028=(a028+a034);
-  a034=7.;
-  a035=(a003==a034);
-  a036=(a035?a024:0);
-  a028=(a028+a036);
-  a036=(a026*a028);
-  a025=(a025+a036);
-  a036=arg[6]? arg[6][107] : 0;
-  a037=arg[2]? arg[2][12] : 0;
-  a038=(a004?a037:0);
-  a039=arg[2]? arg[2][13] : 0;
-  a040=(a008?a039:0);
-  a038=(a038+a040);
-  a040=arg[2]? arg[2][14] : 0;
-  a041=(a011?a040:0);
-  a038=(a038+a041);
-  a041=arg[2]? arg[2][15] : 0;
-  a042=(a014?a041:0);
-  a038=(a038+a042);
-  a042=arg[2]? arg[2][16] : 0;
-  a043=(a017?a042:0);
-  a038=(a038+a043);
-  a043=arg[2]? arg[2][17] : 0;
-  a044=(a020?a043:0);
-  a038=(a038+a044);
-  a044=8.;
-  a045=(a003==a044);
-  a046=(a045?a024:0);
-  a038=(a038+a046);
-  a046=(a036*a038);
-  a025=(a025+a046);
-  a046=arg[6]? arg[6][108] : 0;
-  a047=arg[2]? arg[2][18] : 0;
-  a048=(a004?a047:0);
-  a049=arg[2]? arg[2][19] : 0;
-  a050=(a008?a049:0);
-  a048=(a048+a050);
-  a050=arg[2]? arg[2][20] : 0;
-  a051=(a011?a050:0);
-  a048=(a048+a051);
-  a051=arg[2]? arg[2][21] : 0;
-  a052=(a014?a051:0);
-  a048=(a048+a052);
-  a052=arg[2]? arg[2][22] : 0;
-  a053=(a017?a052:0);
-  a048=(a048+a053);
-  a053=arg[2]? arg[2][23] : 0;
-  a054=(a020?a053:0);
-  a048=(a048+a054);
-  a054=9.;
-  a055=(a003==a054);
-  a056=(a055?a024:0);
-  a048=(a048+a056);
-  a056=(a046*a048);
-  a025=(a025+a056);
-  a056=arg[6]? arg[6][109] : 0;
-  a057=arg[2]? arg[2][24] : 0;
-  a058=(a004?a057:0);
-  a059=arg[2]? arg[2][25] : 0;
-  a060=(a008?a059:0);
-  a058=(a058+a060);
-  a060=arg[2]? arg[2][26] : 0;
-  a061=(a011?a060:0);
-  a058=(a058+a061);
-  a061=arg[2]? arg[2][27] : 0;
-  a062=(a014?a061:0);
-  a058=(a058+a062);
-  a062=arg[2]? arg[2][28] : 0;
-  a063=(a017?a062:0);
-  a058=(a058+a063);
-  a063=arg[2]? arg[2][29] : 0;
-  a064=(a020?a063:0);
-  a058=(a058+a064);
-  a064=10.;
-  a065=(a003==a064);
-  a066=(a065?a024:0);
-  a058=(a058+a066);
-  a066=(a056*a058);
-  a025=(a025+a066);
-  a066=arg[6]? arg[6][110] : 0;
-  a067=arg[2]? arg[2][30] : 0;
-  a068=(a004?a067:0);
-  a069=arg[2]? arg[2][31] : 0;
-  a070=(a008?a069:0);
-  a068=(a068+a070);
-  a070=arg[2]? arg[2][32] : 0;
-  a071=(a011?a070:0);
-  a068=(a068+a071);
-  a071=arg[2]? arg[2][33] : 0;
-  a072=(a014?a071:0);
-  a068=(a068+a072);
-  a072=arg[2]? arg[2][34] : 0;
-  a073=(a017?a072:0);
-  a068=(a068+a073);
-  a073=arg[2]? arg[2][35] : 0;
-  a074=(a020?a073:0);
-  a068=(a068+a074);
-  a074=11.;
-  a075=(a003==a074);
-  a076=(a075?a024:0);
-  a068=(a068+a076);
-  a076=(a066*a068);
-  a025=(a025+a076);
-  a076=(a001<a025);
-  a077=arg[8]? arg[8][8] : 0;
-  a078=(a077/a025);
-  a078=(a076?a078:0);
-  a076=(!a076);
-  a079=1.0000000000000001e+300;
-  a076=(a076?a079:0);
-  a078=(a078+a076);
-  a076=arg[6]? arg[6][91] : 0;
-  a080=(a076*a006);
-  a081=arg[6]? arg[6][92] : 0;
-  a082=(a081*a028);
-  a080=(a080+a082);
-  a082=arg[6]? arg[6][93] : 0;
-  a083=(a082*a038);
-  a080=(a080+a083);
-  a083=arg[6]? arg[6][94] : 0;
-  a084=(a083*a048);
-  a080=(a080+a084);
-  a084=arg[6]? arg[6][95] : 0;
-  a085=(a084*a058);
-  a080=(a080+a085);
-  a085=arg[6]? arg[6][96] : 0;
-  a086=(a085*a068);
-  a080=(a080+a086);
-  a086=(a001<a080);
-  a087=arg[8]? arg[8][7] : 0;
-  a088=(a087/a080);
-  a088=(a086?a088:0);
-  a086=(!a086);
-  a086=(a086?a079:0);
-  a088=(a088+a086);
-  a086=arg[6]? arg[6][78] : 0;
-  a089=(a086*a006);
-  a090=arg[6]? arg[6][79] : 0;
-  a091=(a090*a028);
-  a089=(a089+a091);
-  a091=arg[6]? arg[6][80] : 0;
-  a092=(a091*a038);
-  a089=(a089+a092);
-  a092=arg[6]? arg[6][81] : 0;
-  a093=(a092*a048);
-  a089=(a089+a093);
-  a093=arg[6]? arg[6][82] : 0;
-  a094=(a093*a058);
-  a089=(a089+a094);
-  a094=arg[6]? arg[6][83] : 0;
-  a095=(a094*a068);
-  a089=(a089+a095);
-  a095=(a001<a089);
-  a096=arg[8]? arg[8][6] : 0;
-  a097=(a096/a089);
-  a097=(a095?a097:0);
-  a095=(!a095);
-  a095=(a095?a079:0);
-  a097=(a097+a095);
-  a095=arg[6]? arg[6][66] : 0;
-  a098=(a095*a006);
-  a099=arg[6]? arg[6][67] : 0;
-  a100=(a099*a028);
-  a098=(a098+a100);
-  a100=arg[6]? arg[6][68] : 0;
-  a101=(a100*a038);
-  a098=(a098+a101);
-  a101=arg[6]? arg[6][69] : 0;
-  a102=(a101*a048);
-  a098=(a098+a102);
-  a102=arg[6]? arg[6][70] : 0;
-  a103=(a102*a058);
-  a098=(a098+a103);
-  a103=arg[6]? arg[6][71] : 0;
-  a104=(a103*a068);
-  a098=(a098+a104);
-  a104=(a001<a098);
-  a105=arg[8]? arg[8][5] : 0;
-  a106=(a105/a098);
-  a106=(a104?a106:0);
-  a104=(!a104);
-  a104=(a104?a079:0);
-  a106=(a106+a104);
-  a104=arg[6]? arg[6][55] : 0;
-  a107=(a104*a006);
-  a108=arg[6]? arg[6][56] : 0;
-  a109=(a108*a028);
-  a107=(a107+a109);
-  a109=arg[6]? arg[6][57] : 0;
-  a110=(a109*a038);
-  a107=(a107+a110);
-  a110=arg[6]? arg[6][58] : 0;
-  a111=(a110*a048);
-  a107=(a107+a111);
-  a111=arg[6]? arg[6][59] : 0;
-  a112=(a111*a058);
-  a107=(a107+a112);
-  a112=arg[6]? arg[6][60] : 0;
-  a113=(a112*a068);
-  a107=(a107+a113);
-  a113=(a001<a107);
-  a114=arg[8]? arg[8][4] : 0;
-  a115=(a114/a107);
-  a115=(a113?a115:0);
-  a113=(!a113);
-  a113=(a113?a079:0);
-  a115=(a115+a113);
-  a113=arg[6]? arg[6][45] : 0;
-  a116=(a113*a006);
-  a117=arg[6]? arg[6][46] : 0;
-  a118=(a117*a028);
-  a116=(a116+a118);
-  a118=arg[6]? arg[6][47] : 0;
-  a119=(a118*a038);
-  a116=(a116+a119);
-  a119=arg[6]? arg[6][48] : 0;
-  a120=(a119*a048);
-  a116=(a116+a120);
-  a120=arg[6]? arg[6][49] : 0;
-  a121=(a120*a058);
-  a116=(a116+a121);
-  a121=arg[6]? arg[6][50] : 0;
-  a122=(a121*a068);
-  a116=(a116+a122);
-  a122=(a001<a116);
-  a123=arg[8]? arg[8][3] : 0;
-  a124=(a123/a116);
-  a124=(a122?a124:0);
-  a122=(!a122);
-  a122=(a122?a079:0);
-  a124=(a124+a122);
-  a122=arg[6]? arg[6][36] : 0;
-  a125=(a122*a006);
-  a126=arg[6]? arg[6][37] : 0;
-  a127=(a126*a028);
-  a125=(a125+a127);
-  a127=arg[6]? arg[6][38] : 0;
-  a128=(a127*a038);
-  a125=(a125+a128);
-  a128=arg[6]? arg[6][39] : 0;
-  a129=(a128*a048);
-  a125=(a125+a129);
-  a129=arg[6]? arg[6][40] : 0;
-  a130=(a129*a058);
-  a125=(a125+a130);
-  a130=arg[6]? arg[6][41] : 0;
-  a131=(a130*a068);
-  a125=(a125+a131);
-  a131=(a001<a125);
-  a132=arg[8]? arg[8][2] : 0;
-  a133=(a132/a125);
-  a133=(a131?a133:0);
-  a131=(!a131);
-  a131=(a131?a079:0);
-  a133=(a133+a131);
-  a131=arg[6]? arg[6][28] : 0;
-  a134=(a131*a006);
-  a135=arg[6]? arg[6][29] : 0;
-  a136=(a135*a028);
-  a134=(a134+a136);
-  a136=arg[6]? arg[6][30] : 0;
-  a137=(a136*a038);
-  a134=(a134+a137);
-  a137=arg[6]? arg[6][31] : 0;
-  a138=(a137*a048);
-  a134=(a134+a138);
-  a138=arg[6]? arg[6][32] : 0;
-  a139=(a138*a058);
-  a134=(a134+a139);
-  a139=arg[6]? arg[6][33] : 0;
-  a140=(a139*a068);
-  a134=(a134+a140);
-  a140=(a001<a134);
-  a141=arg[8]? arg[8][1] : 0;
-  a142=(a141/a134);
-  a142=(a140?a142:0);
-  a140=(!a140);
-  a140=(a140?a079:0);
-  a142=(a142+a140);
-  a140=arg[6]? arg[6][21] : 0;
-  a143=(a140*a006);
-  a144=arg[6]? arg[6][22] : 0;
-  a145=(a144*a028);
-  a143=(a143+a145);
-  a145=arg[6]? arg[6][23] : 0;
-  a146=(a145*a038);
-  a143=(a143+a146);
-  a146=arg[6]? arg[6][24] : 0;
-  a147=(a146*a048);
-  a143=(a143+a147);
-  a147=arg[6]? arg[6][25] : 0;
-  a148=(a147*a058);
-  a143=(a143+a148);
-  a148=arg[6]? arg[6][26] : 0;
-  a149=(a148*a068);
-  a143=(a143+a149);
-  a149=(a001<a143);
-  a150=arg[8]? arg[8][0] : 0;
-  a151=(a150/a143);
-  a151=(a149?a151:0);
-  a149=(!a149);
-  a149=(a149?a079:0);
-  a151=(a151+a149);
-  a149=(a151<a079);
-  a151=(a149?a151:0);
-  a149=(!a149);
-  a079=(a149?a079:0);
-  a151=(a151+a079);
-  a079=(a142<a151);
-  a142=(a079?a142:0);
-  a152=(!a079);
-  a151=(a152?a151:0);
-  a142=(a142+a151);
-  a151=(a133<a142);
-  a133=(a151?a133:0);
-  a153=(!a151);
-  a142=(a153?a142:0);
-  a133=(a133+a142);
-  a142=(a124<a133);
-  a124=(a142?a124:0);
-  a154=(!a142);
-  a133=(a154?a133:0);
-  a124=(a124+a133);
-  a133=(a115<a124);
-  a115=(a133?a115:0);
-  a155=(!a133);
-  a124=(a155?a124:0);
-  a115=(a115+a124);
-  a124=(a106<a115);
-  a106=(a124?a106:0);
-  a156=(!a124);
-  a115=(a156?a115:0);
-  a106=(a106+a115);
-  a115=(a097<a106);
-  a097=(a115?a097:0);
-  a157=(!a115);
-  a106=(a157?a106:0);
-  a097=(a097+a106);
-  a106=(a088<a097);
-  a088=(a106?a088:0);
-  a158=(!a106);
-  a097=(a158?a097:0);
-  a088=(a088+a097);
-  a097=(a078<a088);
-  a078=(a097?a078:0);
-  a159=(!a097);
-  a088=(a159?a088:0);
-  a078=(a078+a088);
-  a088=arg[7]? arg[7][0] : 0;
-  a160=(a006*a088);
-  a161=arg[7]? arg[7][1] : 0;
-  a162=(a028*a161);
-  a160=(a160+a162);
-  a162=arg[7]? arg[7][2] : 0;
-  a163=(a038*a162);
-  a160=(a160+a163);
-  a163=arg[7]? arg[7][3] : 0;
-  a164=(a048*a163);
-  a160=(a160+a164);
-  a164=arg[7]? arg[7][4] : 0;
-  a165=(a058*a164);
-  a160=(a160+a165);
-  a165=arg[7]? arg[7][5] : 0;
-  a166=(a068*a165);
-  a160=(a160+a166);
-  a166=arg[3]? arg[3][0] : 0;
-  a004=(a004?a166:0);
-  a167=arg[3]? arg[3][1] : 0;
-  a008=(a008?a167:0);
-  a004=(a004+a008);
-  a008=arg[3]? arg[3][2] : 0;
-  a011=(a011?a008:0);
-  a004=(a004+a011);
-  a011=arg[3]? arg[3][3] : 0;
-  a014=(a014?a011:0);
-  a004=(a004+a014);
-  a014=arg[3]? arg[3][4] : 0;
-  a017=(a017?a014:0);
-  a004=(a004+a017);
-  a017=arg[3]? arg[3][5] : 0;
-  a020=(a020?a017:0);
-  a004=(a004+a020);
-  a020=(a001<a024);
-  a168=arg[5]? arg[5][0] : 0;
-  a169=(a020?a168:0);
-  a170=(!a020);
-  a171=arg[4]? arg[4][0] : 0;
-  a172=(-a171);
-  a172=(a170?a172:0);
-  a169=(a169+a172);
-  a023=(a023?a169:0);
-  a004=(a004+a023);
-  a023=arg[5]? arg[5][1] : 0;
-  a169=(a020?a023:0);
-  a172=arg[4]? arg[4][1] : 0;
-  a173=(-a172);
-  a173=(a170?a173:0);
-  a169=(a169+a173);
-  a035=(a035?a169:0);
-  a004=(a004+a035);
-  a035=arg[5]? arg[5][2] : 0;
-  a169=(a020?a035:0);
-  a173=arg[4]? arg[4][2] : 0;
-  a174=(-a173);
-  a174=(a170?a174:0);
-  a169=(a169+a174);
-  a045=(a045?a169:0);
-  a004=(a004+a045);
-  a045=arg[5]? arg[5][3] : 0;
-  a169=(a020?a045:0);
-  a174=arg[4]? arg[4][3] : 0;
-  a175=(-a174);
-  a175=(a170?a175:0);
-  a169=(a169+a175);
-  a055=(a055?a169:0);
-  a004=(a004+a055);
-  a055=arg[5]? arg[5][4] : 0;
-  a169=(a020?a055:0);
-  a175=arg[4]? arg[4][4] : 0;
-  a176=(-a175);
-  a176=(a170?a176:0);
-  a169=(a169+a176);
-  a065=(a065?a169:0);
-  a004=(a004+a065);
-  a065=arg[5]? arg[5][5] : 0;
-  a020=(a020?a065:0);
-  a169=arg[4]? arg[4][5] : 0;
-  a176=(-a169);
-  a170=(a170?a176:0);
-  a020=(a020+a170);
-  a075=(a075?a020:0);
-  a004=(a004+a075);
-  a160=(a160-a004);
-  a004=9.9999999999999994e-12;
-  a075=(a022<=a003);
-  a020=1.0000000000000001e-01;
-  a020=(a075?a020:0);
-  a075=(!a075);
-  a075=(a075?a007:0);
-  a020=(a020+a075);
-  a004=(a004*a020);
-  a020=arg[12]? arg[12][2] : 0;
-  a075=(a004*a020);
-  a160=(a160-a075);
-  a075=(a000*a006);
-  a170=arg[6]? arg[6][1] : 0;
-  a176=(a170*a028);
-  a075=(a075+a176);
-  a176=arg[6]? arg[6][3] : 0;
-  a177=(a176*a038);
-  a075=(a075+a177);
-  a177=arg[6]? arg[6][6] : 0;
-  a178=(a177*a048);
-  a075=(a075+a178);
-  a178=arg[6]? arg[6][10] : 0;
-  a179=(a178*a058);
-  a075=(a075+a179);
-  a179=arg[6]? arg[6][15] : 0;
-  a180=(a179*a068);
-  a075=(a075+a180);
-  a180=(a006*a075);
-  a181=(a170*a006);
-  a182=arg[6]? arg[6][2] : 0;
-  a183=(a182*a028);
-  a181=(a181+a183);
-  a183=arg[6]? arg[6][4] : 0;
-  a184=(a183*a038);
-  a181=(a181+a184);
-  a184=arg[6]? arg[6][7] : 0;
-  a185=(a184*a048);
-  a181=(a181+a185);
-  a185=arg[6]? arg[6][11] : 0;
-  a186=(a185*a058);
-  a181=(a181+a186);
-  a186=arg[6]? arg[6][16] : 0;
-  a187=(a186*a068);
-  a181=(a181+a187);
-  a187=(a028*a181);
-  a180=(a180+a187);
-  a187=(a176*a006);
-  a188=(a183*a028);
-  a187=(a187+a188);
-  a188=arg[6]? arg[6][5] : 0;
-  a189=(a188*a038);
-  a187=(a187+a189);
-  a189=arg[6]? arg[6][8] : 0;
-  a190=(a189*a048);
-  a187=(a187+a190);
-  a190=arg[6]? arg[6][12] : 0;
-  a191=(a190*a058);
-  a187=(a187+a191);
-  a191=arg[6]? arg[6][17] : 0;
-  a192=(a191*a068);
-  a187=(a187+a192);
-  a192=(a038*a187);
-  a180=(a180+a192);
-  a192=(a177*a006);
-  a193=(a184*a028);
-  a192=(a192+a193);
-  a193=(a189*a038);
-  a192=(a192+a193);
-  a193=arg[6]? arg[6][9] : 0;
-  a194=(a193*a048);
-  a192=(a192+a194);
-  a194=arg[6]? arg[6][13] : 0;
-  a195=(a194*a058);
-  a192=(a192+a195);
-  a195=arg[6]? arg[6][18] : 0;
-  a196=(a195*a068);
-  a192=(a192+a196);
-  a196=(a048*a192);
-  a180=(a180+a196);
-  a196=(a178*a006);
-  a197=(a185*a028);
-  a196=(a196+a197);
-  a197=(a190*a038);
-  a196=(a196+a197);
-  a197=(a194*a048);
-  a196=(a196+a197);
-  a197=arg[6]? arg[6][14] : 0;
-  a198=(a197*a058);
-  a196=(a196+a198);
-  a198=arg[6]? arg[6][19] : 0;
-  a199=(a198*a068);
-  a196=(a196+a199);
-  a199=(a058*a196);
-  a180=(a180+a199);
-  a006=(a179*a006);
-  a028=(a186*a028);
-  a006=(a006+a028);
-  a038=(a191*a038);
-  a006=(a006+a038);
-  a048=(a195*a048);
-  a006=(a006+a048);
-  a058=(a198*a058);
-  a006=(a006+a058);
-  a058=arg[6]? arg[6][20] : 0;
-  a048=(a058*a068);
-  a006=(a006+a048);
-  a068=(a068*a006);
-  a180=(a180+a068);
-  a180=(a180+a004);
-  a160=(a160/a180);
-  a068=(a078<a160);
-  a048=(!a068);
-  a038=arg[10]? arg[10][0] : 0;
-  a028=(a038<a001);
-  a028=(!a028);
-  a199=arg[10]? arg[10][1] : 0;
-  a200=(a199<a001);
-  a201=(a200?a007:0);
-  a200=(!a200);
-  a202=arg[10]? arg[10][2] : 0;
-  a203=(a202<a001);
-  a204=(a203?a010:0);
-  a203=(!a203);
-  a205=arg[10]? arg[10][3] : 0;
-  a206=(a205<a001);
-  a207=(a206?a013:0);
-  a206=(!a206);
-  a208=arg[10]? arg[10][4] : 0;
-  a209=(a208<a001);
-  a210=(a209?a016:0);
-  a209=(!a209);
-  a211=arg[10]? arg[10][5] : 0;
-  a212=(a211<a001);
-  a213=(a212?a019:0);
-  a212=(!a212);
-  a214=arg[10]? arg[10][6] : 0;
-  a215=(a214<a001);
-  a216=(a215?a022:0);
-  a215=(!a215);
-  a217=arg[10]? arg[10][7] : 0;
-  a218=(a217<a001);
-  a219=(a218?a034:0);
-  a218=(!a218);
-  a220=arg[10]? arg[10][8] : 0;
-  a221=(a220<a001);
-  a222=(a221?a044:0);
-  a221=(!a221);
-  a223=-1.;
-  a221=(a221?a223:0);
-  a222=(a222+a221);
-  a218=(a218?a222:0);
-  a219=(a219+a218);
-  a215=(a215?a219:0);
-  a216=(a216+a215);
-  a212=(a212?a216:0);
-  a213=(a213+a212);
-  a209=(a209?a213:0);
-  a210=(a210+a209);
-  a206=(a206?a210:0);
-  a207=(a207+a206);
-  a203=(a203?a207:0);
-  a204=(a204+a203);
-  a200=(a200?a204:0);
-  a201=(a201+a200);
-  a028=(a028?a201:0);
-  a201=(a028<a001);
-  a201=(a048&&a201);
-  a200=(!a201);
-  a097=(a097?a044:0);
-  a106=(a106?a034:0);
-  a115=(a115?a022:0);
-  a124=(a124?a019:0);
-  a133=(a133?a016:0);
-  a142=(a142?a013:0);
-  a151=(a151?a010:0);
-  a079=(a079?a007:0);
-  a149=(a149?a223:0);
-  a152=(a152?a149:0);
-  a079=(a079+a152);
-  a153=(a153?a079:0);
-  a151=(a151+a153);
-  a154=(a154?a151:0);
-  a142=(a142+a154);
-  a155=(a155?a142:0);
-  a133=(a133+a155);
-  a156=(a156?a133:0);
-  a124=(a124+a156);
-  a157=(a157?a124:0);
-  a115=(a115+a157);
-  a158=(a158?a115:0);
-  a106=(a106+a158);
-  a159=(a159?a106:0);
-  a097=(a097+a159);
-  a097=(a068?a097:0);
-  a028=(a048?a028:0);
-  a097=(a097+a028);
-  a028=(a097==a001);
-  a159=(a028?a140:0);
-  a106=(a097==a007);
-  a158=(a106?a131:0);
-  a159=(a159+a158);
-  a158=(a097==a010);
-  a115=(a158?a122:0);
-  a159=(a159+a115);
-  a115=(a097==a013);
-  a157=(a115?a113:0);
-  a159=(a159+a157);
-  a157=(a097==a016);
-  a124=(a157?a104:0);
-  a159=(a159+a124);
-  a124=(a097==a019);
-  a156=(a124?a095:0);
-  a159=(a159+a156);
-  a156=(a097==a022);
-  a133=(a156?a086:0);
-  a159=(a159+a133);
-  a133=(a097==a034);
-  a155=(a133?a076:0);
-  a159=(a159+a155);
-  a097=(a097==a044);
-  a155=(a097?a002:0);
-  a159=(a159+a155);
-  a159=(a068?a159:0);
-  a155=(a048?a075:0);
-  a159=(a159+a155);
-  a155=arg[6]? arg[6][27] : 0;
-  a142=(a028?a155:0);
-  a154=arg[6]? arg[6][34] : 0;
-  a151=(a106?a154:0);
-  a142=(a142+a151);
-  a151=arg[6]? arg[6][42] : 0;
-  a153=(a158?a151:0);
-  a142=(a142+a153);
-  a153=arg[6]? arg[6][51] : 0;
-  a079=(a115?a153:0);
-  a142=(a142+a079);
-  a079=arg[6]? arg[6][61] : 0;
-  a152=(a157?a079:0);
-  a142=(a142+a152);
-  a152=arg[6]? arg[6][72] : 0;
-  a149=(a124?a152:0);
-  a142=(a142+a149);
-  a149=arg[6]? arg[6][84] : 0;
-  a204=(a156?a149:0);
-  a142=(a142+a204);
-  a204=arg[6]? arg[6][97] : 0;
-  a203=(a133?a204:0);
-  a142=(a142+a203);
-  a203=arg[6]? arg[6][111] : 0;
-  a207=(a097?a203:0);
-  a142=(a142+a207);
-  a207=(a028*a142);
-  a206=(a028?a154:0);
-  a210=arg[6]? arg[6][35] : 0;
-  a209=(a106?a210:0);
-  a206=(a206+a209);
-  a209=arg[6]? arg[6][43] : 0;
-  a213=(a158?a209:0);
-  a206=(a206+a213);
-  a213=arg[6]? arg[6][52] : 0;
-  a212=(a115?a213:0);
-  a206=(a206+a212);
-  a212=arg[6]? arg[6][62] : 0;
-  a216=(a157?a212:0);
-  a206=(a206+a216);
-  a216=arg[6]? arg[6][73] : 0;
-  a215=(a124?a216:0);
-  a206=(a206+a215);
-  a215=arg[6]? arg[6][85] : 0;
-  a219=(a156?a215:0);
-  a206=(a206+a219);
-  a219=arg[6]? arg[6][98] : 0;
-  a218=(a133?a219:0);
-  a206=(a206+a218);
-  a218=arg[6]? arg[6][112] : 0;
-  a222=(a097?a218:0);
-  a206=(a206+a222);
-  a222=(a106*a206);
-  a207=(a207+a222);
-  a222=(a028?a151:0);
-  a221=(a106?a209:0);
-  a222=(a222+a221);
-  a221=arg[6]? arg[6][44] : 0;
-  a224=(a158?a221:0);
-  a222=(a222+a224);
-  a224=arg[6]? arg[6][53] : 0;
-  a225=(a115?a224:0);
-  a222=(a222+a225);
-  a225=arg[6]? arg[6][63] : 0;
-  a226=(a157?a225:0);
-  a222=(a222+a226);
-  a226=arg[6]? arg[6][74] : 0;
-  a227=(a124?a226:0);
-  a222=(a222+a227);
-  a227=arg[6]? arg[6][86] : 0;
-  a228=(a156?a227:0);
-  a222=(a222+a228);
-  a228=arg[6]? arg[6][99] : 0;
-  a229=(a133?a228:0);
-  a222=(a222+a229);
-  a229=arg[6]? arg[6][113] : 0;
-  a230=(a097?a229:0);
-  a222=(a222+a230);
-  a230=(a158*a222);
-  a207=(a207+a230);
-  a230=(a028?a153:0);
-  a231=(a106?a213:0);
-  a230=(a230+a231);
-  a231=(a158?a224:0);
-  a230=(a230+a231);
-  a231=arg[6]? arg[6][54] : 0;
-  a232=(a115?a231:0);
-  a230=(a230+a232);
-  a232=arg[6]? arg[6][64] : 0;
-  a233=(a157?a232:0);
-  a230=(a230+a233);
-  a233=arg[6]? arg[6][75] : 0;
-  a234=(a124?a233:0);
-  a230=(a230+a234);
-  a234=arg[6]? arg[6][87] : 0;
-  a235=(a156?a234:0);
-  a230=(a230+a235);
-  a235=arg[6]? arg[6][100] : 0;
-  a236=(a133?a235:0);
-  a230=(a230+a236);
-  a236=arg[6]? arg[6][114] : 0;
-  a237=(a097?a236:0);
-  a230=(a230+a237);
-  a237=(a115*a230);
-  a207=(a207+a237);
-  a237=(a028?a079:0);
-  a238=(a106?a212:0);
-  a237=(a237+a238);
-  a238=(a158?a225:0);
-  a237=(a237+a238);
-  a238=(a115?a232:0);
-  a237=(a237+a238);
-  a238=arg[6]? arg[6][65] : 0;
-  a239=(a157?a238:0);
-  a237=(a237+a239);
-  a239=arg[6]? arg[6][76] : 0;
-  a240=(a124?a239:0);
-  a237=(a237+a240);
-  a240=arg[6]? arg[6][88] : 0;
-  a241=(a156?a240:0);
-  a237=(a237+a241);
-  a241=arg[6]? arg[6][101] : 0;
-  a242=(a133?a241:0);
-  a237=(a237+a242);
-  a242=arg[6]? arg[6][115] : 0;
-  a243=(a097?a242:0);
-  a237=(a237+a243);
-  a243=(a157*a237);
-  a207=(a207+a243);
-  a243=(a028?a152:0);
-  a244=(a106?a216:0);
-  a243=(a243+a244);
-  a244=(a158?a226:0);
-  a243=(a243+a244);
-  a244=(a115?a233:0);
-  a243=(a243+a244);
-  a244=(a157?a239:0);
-  a243=(a243+a244);
-  a244=arg[6]? arg[6][77] : 0;
-  a245=(a124?a244:0);
-  a243=(a243+a245);
-  a245=arg[6]? arg[6][89] : 0;
-  a246=(a156?a245:0);
-  a243=(a243+a246);
-  a246=arg[6]? arg[6][102] : 0;
-  a247=(a133?a246:0);
-  a243=(a243+a247);
-  a247=arg[6]? arg[6][116] : 0;
-  a248=(a097?a247:0);
-  a243=(a243+a248);
-  a248=(a124*a243);
-  a207=(a207+a248);
-  a248=(a028?a149:0);
-  a249=(a106?a215:0);
-  a248=(a248+a249);
-  a249=(a158?a227:0);
-  a248=(a248+a249);
-  a249=(a115?a234:0);
-  a248=(a248+a249);
-  a249=(a157?a240:0);
-  a248=(a248+a249);
-  a249=(a124?a245:0);
-  a248=(a248+a249);
-  a249=arg[6]? arg[6][90] : 0;
-  a250=(a156?a249:0);
-  a248=(a248+a250);
-  a250=arg[6]? arg[6][103] : 0;
-  a251=(a133?a250:0);
-  a248=(a248+a251);
-  a251=arg[6]? arg[6][117] : 0;
-  a252=(a097?a251:0);
-  a248=(a248+a252);
-  a252=(a156*a248);
-  a207=(a207+a252);
-  a252=(a028?a204:0);
-  a253=(a106?a219:0);
-  a252=(a252+a253);
-  a253=(a158?a228:0);
-  a252=(a252+a253);
-  a253=(a115?a235:0);
-  a252=(a252+a253);
-  a253=(a157?a241:0);
-  a252=(a252+a253);
-  a253=(a124?a246:0);
-  a252=(a252+a253);
-  a253=(a156?a250:0);
-  a252=(a252+a253);
-  a253=arg[6]? arg[6][104] : 0;
-  a254=(a133?a253:0);
-  a252=(a252+a254);
-  a254=arg[6]? arg[6][118] : 0;
-  a255=(a097?a254:0);
-  a252=(a252+a255);
-  a255=(a133*a252);
-  a207=(a207+a255);
-  a255=(a028?a203:0);
-  a256=(a106?a218:0);
-  a255=(a255+a256);
-  a256=(a158?a229:0);
-  a255=(a255+a256);
-  a256=(a115?a236:0);
-  a255=(a255+a256);
-  a256=(a157?a242:0);
-  a255=(a255+a256);
-  a256=(a124?a247:0);
-  a255=(a255+a256);
-  a256=(a156?a251:0);
-  a255=(a255+a256);
-  a256=(a133?a254:0);
-  a255=(a255+a256);
-  a256=arg[6]? arg[6][119] : 0;
-  a257=(a097?a256:0);
-  a255=(a255+a257);
-  a257=(a097*a255);
-  a207=(a207+a257);
-  a207=(a068?a207:0);
-  a180=(a048?a180:0);
-  a207=(a207+a180);
-  a180=(a159/a207);
-  a159=(a159*a180);
-  a159=(a200?a159:0);
-  a000=(a000-a159);
-  if (res[0]!=0) res[0][0]=a000;
-  a000=(a028?a144:0);
-  a159=(a106?a135:0);
-  a000=(a000+a159);
-  a159=(a158?a126:0);
-  a000=(a000+a159);
-  a159=(a115?a117:0);
-  a000=(a000+a159);
-  a159=(a157?a108:0);
-  a000=(a000+a159);
-  a159=(a124?a099:0);
-  a000=(a000+a159);
-  a159=(a156?a090:0);
-  a000=(a000+a159);
-  a159=(a133?a081:0);
-  a000=(a000+a159);
-  a159=(a097?a026:0);
-  a000=(a000+a159);
-  a000=(a068?a000:0);
-  a159=(a048?a181:0);
-  a000=(a000+a159);
-  a159=(a000*a180);
-  a159=(a200?a159:0);
-  a170=(a170-a159);
-  if (res[0]!=0) res[0][1]=a170;
-  a170=(a000/a207);
-  a000=(a000*a170);
-  a000=(a200?a000:0);
-  a182=(a182-a000);
-  if (res[0]!=0) res[0][2]=a182;
-  a182=(a028?a145:0);
-  a000=(a106?a136:0);
-  a182=(a182+a000);
-  a000=(a158?a127:0);
-  a182=(a182+a000);
-  a000=(a115?a118:0);
-  a182=(a182+a000);
-  a000=(a157?a109:0);
-  a182=(a182+a000);
-  a000=(a124?a100:0);
-  a182=(a182+a000);
-  a000=(a156?a091:0);
-  a182=(a182+a000);
-  a000=(a133?a082:0);
-  a182=(a182+a000);
-  a000=(a097?a036:0);
-  a182=(a182+a000);
-  a182=(a068?a182:0);
-  a000=(a048?a187:0);
-  a182=(a182+a000);
-  a000=(a182*a180);
-  a000=(a200?a000:0);
-  a176=(a176-a000);
-  if (res[0]!=0) res[0][3]=a176;
-  a176=(a182*a170);
-  a176=(a200?a176:0);
-  a183=(a183-a176);
-  if (res[0]!=0) res[0][4]=a183;
-  a183=(a182/a207);
-  a182=(a182*a183);
-  a182=(a200?a182:0);
-  a188=(a188-a182);
-  if (res[0]!=0) res[0][5]=a188;
-  a188=(a028?a146:0);
-  a182=(a106?a137:0);
-  a188=(a188+a182);
-  a182=(a158?a128:0);
-  a188=(a188+a182);
-  a182=(a115?a119:0);
-  a188=(a188+a182);
-  a182=(a157?a110:0);
-  a188=(a188+a182);
-  a182=(a124?a101:0);
-  a188=(a188+a182);
-  a182=(a156?a092:0);
-  a188=(a188+a182);
-  a182=(a133?a083:0);
-  a188=(a188+a182);
-  a182=(a097?a046:0);
-  a188=(a188+a182);
-  a188=(a068?a188:0);
-  a182=(a048?a192:0);
-  a188=(a188+a182);
-  a182=(a188*a180);
-  a182=(a200?a182:0);
-  a177=(a177-a182);
-  if (res[0]!=0) res[0][6]=a177;
-  a177=(a188*a170);
-  a177=(a200?a177:0);
-  a184=(a184-a177);
-  if (res[0]!=0) res[0][7]=a184;
-  a184=(a188*a183);
-  a184=(a200?a184:0);
-  a189=(a189-a184);
-  if (res[0]!=0) res[0][8]=a189;
-  a189=(a188/a207);
-  a188=(a188*a189);
-  a188=(a200?a188:0);
-  a193=(a193-a188);
-  if (res[0]!=0) res[0][9]=a193;
-  a193=(a028?a147:0);
-  a188=(a106?a138:0);
-  a193=(a193+a188);
-  a188=(a158?a129:0);
-  a193=(a193+a188);
-  a188=(a115?a120:0);
-  a193=(a193+a188);
-  a188=(a157?a111:0);
-  a193=(a193+a188);
-  a188=(a124?a102:0);
-  a193=(a193+a188);
-  a188=(a156?a093:0);
-  a193=(a193+a188);
-  a188=(a133?a084:0);
-  a193=(a193+a188);
-  a188=(a097?a056:0);
-  a193=(a193+a188);
-  a193=(a068?a193:0);
-  a188=(a048?a196:0);
-  a193=(a193+a188);
-  a188=(a193*a180);
-  a188=(a200?a188:0);
-  a178=(a178-a188);
-  if (res[0]!=0) res[0][10]=a178;
-  a178=(a193*a170);
-  a178=(a200?a178:0);
-  a185=(a185-a178);
-  if (res[0]!=0) res[0][11]=a185;
-  a185=(a193*a183);
-  a185=(a200?a185:0);
-  a190=(a190-a185);
-  if (res[0]!=0) res[0][12]=a190;
-  a190=(a193*a189);
-  a190=(a200?a190:0);
-  a194=(a194-a190);
-  if (res[0]!=0) res[0][13]=a194;
-  a194=(a193/a207);
-  a193=(a193*a194);
-  a193=(a200?a193:0);
-  a197=(a197-a193);
-  if (res[0]!=0) res[0][14]=a197;
-  a197=(a028?a148:0);
-  a193=(a106?a139:0);
-  a197=(a197+a193);
-  a193=(a158?a130:0);
-  a197=(a197+a193);
-  a193=(a115?a121:0);
-  a197=(a197+a193);
-  a193=(a157?a112:0);
-  a197=(a197+a193);
-  a193=(a124?a103:0);
-  a197=(a197+a193);
-  a193=(a156?a094:0);
-  a197=(a197+a193);
-  a193=(a133?a085:0);
-  a197=(a197+a193);
-  a193=(a097?a066:0);
-  a197=(a197+a193);
-  a197=(a068?a197:0);
-  a193=(a048?a006:0);
-  a197=(a197+a193);
-  a193=(a197*a180);
-  a193=(a200?a193:0);
-  a179=(a179-a193);
-  if (res[0]!=0) res[0][15]=a179;
-  a179=(a197*a170);
-  a179=(a200?a179:0);
-  a186=(a186-a179);
-  if (res[0]!=0) res[0][16]=a186;
-  a186=(a197*a183);
-  a186=(a200?a186:0);
-  a191=(a191-a186);
-  if (res[0]!=0) res[0][17]=a191;
-  a191=(a197*a189);
-  a191=(a200?a191:0);
-  a195=(a195-a191);
-  if (res[0]!=0) res[0][18]=a195;
-  a195=(a197*a194);
-  a195=(a200?a195:0);
-  a198=(a198-a195);
-  if (res[0]!=0) res[0][19]=a198;
-  a198=(a197/a207);
-  a197=(a197*a198);
-  a197=(a200?a197:0);
-  a058=(a058-a197);
-  if (res[0]!=0) res[0][20]=a058;
-  a058=(a068*a028);
-  a058=(a007-a058);
-  a142=(a068?a142:0);
-  a197=(a143-a028);
-  a197=(a048?a197:0);
-  a142=(a142+a197);
-  a197=(a142*a180);
-  a197=(a200?a197:0);
-  a140=(a140-a197);
-  a140=(a058*a140);
-  if (res[0]!=0) res[0][21]=a140;
-  a197=(a142*a170);
-  a197=(a200?a197:0);
-  a144=(a144-a197);
-  a144=(a058*a144);
-  if (res[0]!=0) res[0][22]=a144;
-  a197=(a142*a183);
-  a197=(a200?a197:0);
-  a145=(a145-a197);
-  a145=(a058*a145);
-  if (res[0]!=0) res[0][23]=a145;
-  a197=(a142*a189);
-  a197=(a200?a197:0);
-  a146=(a146-a197);
-  a146=(a058*a146);
-  if (res[0]!=0) res[0][24]=a146;
-  a197=(a142*a194);
-  a197=(a200?a197:0);
-  a147=(a147-a197);
-  a147=(a058*a147);
-  if (res[0]!=0) res[0][25]=a147;
-  a197=(a142*a198);
-  a197=(a200?a197:0);
-  a148=(a148-a197);
-  a148=(a058*a148);
-  if (res[0]!=0) res[0][26]=a148;
-  a197=(a142/a207);
-  a142=(a142*a197);
-  a142=(a200?a142:0);
-  a155=(a155-a142);
-  a058=(a058*a155);
-  if (res[0]!=0) res[0][27]=a058;
-  a058=(a068*a106);
-  a058=(a007-a058);
-  a206=(a068?a206:0);
-  a155=(a134-a106);
-  a155=(a048?a155:0);
-  a206=(a206+a155);
-  a155=(a206*a180);
-  a155=(a200?a155:0);
-  a131=(a131-a155);
-  a131=(a058*a131);
-  if (res[0]!=0) res[0][28]=a131;
-  a155=(a206*a170);
-  a155=(a200?a155:0);
-  a135=(a135-a155);
-  a135=(a058*a135);
-  if (res[0]!=0) res[0][29]=a135;
-  a155=(a206*a183);
-  a155=(a200?a155:0);
-  a136=(a136-a155);
-  a136=(a058*a136);
-  if (res[0]!=0) res[0][30]=a136;
-  a155=(a206*a189);
-  a155=(a200?a155:0);
-  a137=(a137-a155);
-  a137=(a058*a137);
-  if (res[0]!=0) res[0][31]=a137;
-  a155=(a206*a194);
-  a155=(a200?a155:0);
-  a138=(a138-a155);
-  a138=(a058*a138);
-  if (res[0]!=0) res[0][32]=a138;
-  a155=(a206*a198);
-  a155=(a200?a155:0);
-  a139=(a139-a155);
-  a139=(a058*a139);
-  if (res[0]!=0) res[0][33]=a139;
-  a155=(a206*a197);
-  a155=(a200?a155:0);
-  a154=(a154-a155);
-  a154=(a058*a154);
-  if (res[0]!=0) res[0][34]=a154;
-  a154=(a206/a207);
-  a206=(a206*a154);
-  a206=(a200?a206:0);
-  a210=(a210-a206);
-  a058=(a058*a210);
-  if (res[0]!=0) res[0][35]=a058;
-  a058=(a068*a158);
-  a058=(a007-a058);
-  a222=(a068?a222:0);
-  a210=(a125-a158);
-  a210=(a048?a210:0);
-  a222=(a222+a210);
-  a210=(a222*a180);
-  a210=(a200?a210:0);
-  a122=(a122-a210);
-  a122=(a058*a122);
-  if (res[0]!=0) res[0][36]=a122;
-  a210=(a222*a170);
-  a210=(a200?a210:0);
-  a126=(a126-a210);
-  a126=(a058*a126);
-  if (res[0]!=0) res[0][37]=a126;
-  a210=(a222*a183);
-  a210=(a200?a210:0);
-  a127=(a127-a210);
-  a127=(a058*a127);
-  if (res[0]!=0) res[0][38]=a127;
-  a210=(a222*a189);
-  a210=(a200?a210:0);
-  a128=(a128-a210);
-  a128=(a058*a128);
-  if (res[0]!=0) res[0][39]=a128;
-  a210=(a222*a194);
-  a210=(a200?a210:0);
-  a129=(a129-a210);
-  a129=(a058*a129);
-  if (res[0]!=0) res[0][40]=a129;
-  a210=(a222*a198);
-  a210=(a200?a210:0);
-  a130=(a130-a210);
-  a130=(a058*a130);
-  if (res[0]!=0) res[0][41]=a130;
-  a210=(a222*a197);
-  a210=(a200?a210:0);
-  a151=(a151-a210);
-  a151=(a058*a151);
-  if (res[0]!=0) res[0][42]=a151;
-  a151=(a222*a154);
-  a151=(a200?a151:0);
-  a209=(a209-a151);
-  a209=(a058*a209);
-  if (res[0]!=0) res[0][43]=a209;
-  a209=(a222/a207);
-  a222=(a222*a209);
-  a222=(a200?a222:0);
-  a221=(a221-a222);
-  a058=(a058*a221);
-  if (res[0]!=0) res[0][44]=a058;
-  a058=(a068*a115);
-  a058=(a007-a058);
-  a230=(a068?a230:0);
-  a221=(a116-a115);
-  a221=(a048?a221:0);
-  a230=(a230+a221);
-  a221=(a230*a180);
-  a221=(a200?a221:0);
-  a113=(a113-a221);
-  a113=(a058*a113);
-  if (res[0]!=0) res[0][45]=a113;
-  a221=(a230*a170);
-  a221=(a200?a221:0);
-  a117=(a117-a221);
-  a117=(a058*a117);
-  if (res[0]!=0) res[0][46]=a117;
-  a221=(a230*a183);
-  a221=(a200?a221:0);
-  a118=(a118-a221);
-  a118=(a058*a118);
-  if (res[0]!=0) res[0][47]=a118;
-  a221=(a230*a189);
-  a221=(a200?a221:0);
-  a119=(a119-a221);
-  a119=(a058*a119);
-  if (res[0]!=0) res[0][48]=a119;
-  a221=(a230*a194);
-  a221=(a200?a221:0);
-  a120=(a120-a221);
-  a120=(a058*a120);
-  if (res[0]!=0) res[0][49]=a120;
-  a221=(a230*a198);
-  a221=(a200?a221:0);
-  a121=(a121-a221);
-  a121=(a058*a121);
-  if (res[0]!=0) res[0][50]=a121;
-  a221=(a230*a197);
-  a221=(a200?a221:0);
-  a153=(a153-a221);
-  a153=(a058*a153);
-  if (res[0]!=0) res[0][51]=a153;
-  a153=(a230*a154);
-  a153=(a200?a153:0);
-  a213=(a213-a153);
-  a213=(a058*a213);
-  if (res[0]!=0) res[0][52]=a213;
-  a213=(a230*a209);
-  a213=(a200?a213:0);
-  a224=(a224-a213);
-  a224=(a058*a224);
-  if (res[0]!=0) res[0][53]=a224;
-  a224=(a230/a207);
-  a230=(a230*a224);
-  a230=(a200?a230:0);
-  a231=(a231-a230);
-  a058=(a058*a231);
-  if (res[0]!=0) res[0][54]=a058;
-  a058=(a068*a157);
-  a058=(a007-a058);
-  a237=(a068?a237:0);
-  a231=(a107-a157);
-  a231=(a048?a231:0);
-  a237=(a237+a231);
-  a231=(a237*a180);
-  a231=(a200?a231:0);
-  a104=(a104-a231);
-  a104=(a058*a104);
-  if (res[0]!=0) res[0][55]=a104;
-  a231=(a237*a170);
-  a231=(a200?a231:0);
-  a108=(a108-a231);
-  a108=(a058*a108);
-  if (res[0]!=0) res[0][56]=a108;
-  a231=(a237*a183);
-  a231=(a200?a231:0);
-  a109=(a109-a231);
-  a109=(a058*a109);
-  if (res[0]!=0) res[0][57]=a109;
-  a231=(a237*a189);
-  a231=(a200?a231:0);
-  a110=(a110-a231);
-  a110=(a058*a110);
-  if (res[0]!=0) res[0][58]=a110;
-  a231=(a237*a194);
-  a231=(a200?a231:0);
-  a111=(a111-a231);
-  a111=(a058*a111);
-  if (res[0]!=0) res[0][59]=a111;
-  a231=(a237*a198);
-  a231=(a200?a231:0);
-  a112=(a112-a231);
-  a112=(a058*a112);
-  if (res[0]!=0) res[0][60]=a112;
-  a231=(a237*a197);
-  a231=(a200?a231:0);
-  a079=(a079-a231);
-  a079=(a058*a079);
-  if (res[0]!=0) res[0][61]=a079;
-  a079=(a237*a154);
-  a079=(a200?a079:0);
-  a212=(a212-a079);
-  a212=(a058*a212);
-  if (res[0]!=0) res[0][62]=a212;
-  a212=(a237*a209);
-  a212=(a200?a212:0);
-  a225=(a225-a212);
-  a225=(a058*a225);
-  if (res[0]!=0) res[0][63]=a225;
-  a225=(a237*a224);
-  a225=(a200?a225:0);
-  a232=(a232-a225);
-  a232=(a058*a232);
-  if (res[0]!=0) res[0][64]=a232;
-  a232=(a237/a207);
-  a237=(a237*a232);
-  a237=(a200?a237:0);
-  a238=(a238-a237);
-  a058=(a058*a238);
-  if (res[0]!=0) res[0][65]=a058;
-  a058=(a068*a124);
-  a058=(a007-a058);
-  a243=(a068?a243:0);
-  a238=(a098-a124);
-  a238=(a048?a238:0);
-  a243=(a243+a238);
-  a238=(a243*a180);
-  a238=(a200?a238:0);
-  a095=(a095-a238);
-  a095=(a058*a095);
-  if (res[0]!=0) res[0][66]=a095;
-  a238=(a243*a170);
-  a238=(a200?a238:0);
-  a099=(a099-a238);
-  a099=(a058*a099);
-  if (res[0]!=0) res[0][67]=a099;
-  a238=(a243*a183);
-  a238=(a200?a238:0);
-  a100=(a100-a238);
-  a100=(a058*a100);
-  if (res[0]!=0) res[0][68]=a100;
-  a238=(a243*a189);
-  a238=(a200?a238:0);
-  a101=(a101-a238);
-  a101=(a058*a101);
-  if (res[0]!=0) res[0][69]=a101;
-  a238=(a243*a194);
-  a238=(a200?a238:0);
-  a102=(a102-a238);
-  a102=(a058*a102);
-  if (res[0]!=0) res[0][70]=a102;
-  a238=(a243*a198);
-  a238=(a200?a238:0);
-  a103=(a103-a238);
-  a103=(a058*a103);
-  if (res[0]!=0) res[0][71]=a103;
-  a238=(a243*a197);
-  a238=(a200?a238:0);
-  a152=(a152-a238);
-  a152=(a058*a152);
-  if (res[0]!=0) res[0][72]=a152;
-  a152=(a243*a154);
-  a152=(a200?a152:0);
-  a216=(a216-a152);
-  a216=(a058*a216);
-  if (res[0]!=0) res[0][73]=a216;
-  a216=(a243*a209);
-  a216=(a200?a216:0);
-  a226=(a226-a216);
-  a226=(a058*a226);
-  if (res[0]!=0) res[0][74]=a226;
-  a226=(a243*a224);
-  a226=(a200?a226:0);
-  a233=(a233-a226);
-  a233=(a058*a233);
-  if (res[0]!=0) res[0][75]=a233;
-  a233=(a243*a232);
-  a233=(a200?a233:0);
-  a239=(a239-a233);
-  a239=(a058*a239);
-  if (res[0]!=0) res[0][76]=a239;
-  a239=(a243/a207);
-  a243=(a243*a239);
-  a243=(a200?a243:0);
-  a244=(a244-a243);
-  a058=(a058*a244);
-  if (res[0]!=0) res[0][77]=a058;
-  a058=(a068*a156);
-  a058=(a007-a058);
-  a248=(a068?a248:0);
-  a244=(a089-a156);
-  a244=(a048?a244:0);
-  a248=(a248+a244);
-  a244=(a248*a180);
-  a244=(a200?a244:0);
-  a086=(a086-a244);
-  a086=(a058*a086);
-  if (res[0]!=0) res[0][78]=a086;
-  a244=(a248*a170);
-  a244=(a200?a244:0);
-  a090=(a090-a244);
-  a090=(a058*a090);
-  if (res[0]!=0) res[0][79]=a090;
-  a244=(a248*a183);
-  a244=(a200?a244:0);
-  a091=(a091-a244);
-  a091=(a058*a091);
-  if (res[0]!=0) res[0][80]=a091;
-  a244=(a248*a189);
-  a244=(a200?a244:0);
-  a092=(a092-a244);
-  a092=(a058*a092);
-  if (res[0]!=0) res[0][81]=a092;
-  a244=(a248*a194);
-  a244=(a200?a244:0);
-  a093=(a093-a244);
-  a093=(a058*a093);
-  if (res[0]!=0) res[0][82]=a093;
-  a244=(a248*a198);
-  a244=(a200?a244:0);
-  a094=(a094-a244);
-  a094=(a058*a094);
-  if (res[0]!=0) res[0][83]=a094;
-  a244=(a248*a197);
-  a244=(a200?a244:0);
-  a149=(a149-a244);
-  a149=(a058*a149);
-  if (res[0]!=0) res[0][84]=a149;
-  a149=(a248*a154);
-  a149=(a200?a149:0);
-  a215=(a215-a149);
-  a215=(a058*a215);
-  if (res[0]!=0) res[0][85]=a215;
-  a215=(a248*a209);
-  a215=(a200?a215:0);
-  a227=(a227-a215);
-  a227=(a058*a227);
-  if (res[0]!=0) res[0][86]=a227;
-  a227=(a248*a224);
-  a227=(a200?a227:0);
-  a234=(a234-a227);
-  a234=(a058*a234);
-  if (res[0]!=0) res[0][87]=a234;
-  a234=(a248*a232);
-  a234=(a200?a234:0);
-  a240=(a240-a234);
-  a240=(a058*a240);
-  if (res[0]!=0) res[0][88]=a240;
-  a240=(a248*a239);
-  a240=(a200?a240:0);
-  a245=(a245-a240);
-  a245=(a058*a245);
-  if (res[0]!=0) res[0][89]=a245;
-  a245=(a248/a207);
-  a248=(a248*a245);
-  a248=(a200?a248:0);
-  a249=(a249-a248);
-  a058=(a058*a249);
-  if (res[0]!=0) res[0][90]=a058;
-  a058=(a068*a133);
-  a058=(a007-a058);
-  a252=(a068?a252:0);
-  a249=(a080-a133);
-  a249=(a048?a249:0);
-  a252=(a252+a249);
-  a249=(a252*a180);
-  a249=(a200?a249:0);
-  a076=(a076-a249);
-  a076=(a058*a076);
-  if (res[0]!=0) res[0][91]=a076;
-  a249=(a252*a170);
-  a249=(a200?a249:0);
-  a081=(a081-a249);
-  a081=(a058*a081);
-  if (res[0]!=0) res[0][92]=a081;
-  a249=(a252*a183);
-  a249=(a200?a249:0);
-  a082=(a082-a249);
-  a082=(a058*a082);
-  if (res[0]!=0) res[0][93]=a082;
-  a249=(a252*a189);
-  a249=(a200?a249:0);
-  a083=(a083-a249);
-  a083=(a058*a083);
-  if (res[0]!=0) res[0][94]=a083;
-  a249=(a252*a194);
-  a249=(a200?a249:0);
-  a084=(a084-a249);
-  a084=(a058*a084);
-  if (res[0]!=0) res[0][95]=a084;
-  a249=(a252*a198);
-  a249=(a200?a249:0);
-  a085=(a085-a249);
-  a085=(a058*a085);
-  if (res[0]!=0) res[0][96]=a085;
-  a249=(a252*a197);
-  a249=(a200?a249:0);
-  a204=(a204-a249);
-  a204=(a058*a204);
-  if (res[0]!=0) res[0][97]=a204;
-  a204=(a252*a154);
-  a204=(a200?a204:0);
-  a219=(a219-a204);
-  a219=(a058*a219);
-  if (res[0]!=0) res[0][98]=a219;
-  a219=(a252*a209);
-  a219=(a200?a219:0);
-  a228=(a228-a219);
-  a228=(a058*a228);
-  if (res[0]!=0) res[0][99]=a228;
-  a228=(a252*a224);
-  a228=(a200?a228:0);
-  a235=(a235-a228);
-  a235=(a058*a235);
-  if (res[0]!=0) res[0][100]=a235;
-  a235=(a252*a232);
-  a235=(a200?a235:0);
-  a241=(a241-a235);
-  a241=(a058*a241);
-  if (res[0]!=0) res[0][101]=a241;
-  a241=(a252*a239);
-  a241=(a200?a241:0);
-  a246=(a246-a241);
-  a246=(a058*a246);
-  if (res[0]!=0) res[0][102]=a246;
-  a246=(a252*a245);
-  a246=(a200?a246:0);
-  a250=(a250-a246);
-  a250=(a058*a250);
-  if (res[0]!=0) res[0][103]=a250;
-  a250=(a252/a207);
-  a252=(a252*a250);
-  a252=(a200?a252:0);
-  a253=(a253-a252);
-  a058=(a058*a253);
-  if (res[0]!=0) res[0][104]=a058;
-  a058=(a068*a097);
-  a058=(a007-a058);
-  a255=(a068?a255:0);
-  a253=(a025-a097);
-  a253=(a048?a253:0);
-  a255=(a255+a253);
-  a180=(a255*a180);
-  a180=(a200?a180:0);
-  a002=(a002-a180);
-  a002=(a058*a002);
-  if (res[0]!=0) res[0][105]=a002;
-  a170=(a255*a170);
-  a170=(a200?a170:0);
-  a026=(a026-a170);
-  a026=(a058*a026);
-  if (res[0]!=0) res[0][106]=a026;
-  a183=(a255*a183);
-  a183=(a200?a183:0);
-  a036=(a036-a183);
-  a036=(a058*a036);
-  if (res[0]!=0) res[0][107]=a036;
-  a189=(a255*a189);
-  a189=(a200?a189:0);
-  a046=(a046-a189);
-  a046=(a058*a046);
-  if (res[0]!=0) res[0][108]=a046;
-  a194=(a255*a194);
-  a194=(a200?a194:0);
-  a056=(a056-a194);
-  a056=(a058*a056);
-  if (res[0]!=0) res[0][109]=a056;
-  a198=(a255*a198);
-  a198=(a200?a198:0);
-  a066=(a066-a198);
-  a066=(a058*a066);
-  if (res[0]!=0) res[0][110]=a066;
-  a197=(a255*a197);
-  a197=(a200?a197:0);
-  a203=(a203-a197);
-  a203=(a058*a203);
-  if (res[0]!=0) res[0][111]=a203;
-  a154=(a255*a154);
-  a154=(a200?a154:0);
-  a218=(a218-a154);
-  a218=(a058*a218);
-  if (res[0]!=0) res[0][112]=a218;
-  a209=(a255*a209);
-  a209=(a200?a209:0);
-  a229=(a229-a209);
-  a229=(a058*a229);
-  if (res[0]!=0) res[0][113]=a229;
-  a224=(a255*a224);
-  a224=(a200?a224:0);
-  a236=(a236-a224);
-  a236=(a058*a236);
-  if (res[0]!=0) res[0][114]=a236;
-  a232=(a255*a232);
-  a232=(a200?a232:0);
-  a242=(a242-a232);
-  a242=(a058*a242);
-  if (res[0]!=0) res[0][115]=a242;
-  a239=(a255*a239);
-  a239=(a200?a239:0);
-  a247=(a247-a239);
-  a247=(a058*a247);
-  if (res[0]!=0) res[0][116]=a247;
-  a245=(a255*a245);
-  a245=(a200?a245:0);
-  a251=(a251-a245);
-  a251=(a058*a251);
-  if (res[0]!=0) res[0][117]=a251;
-  a250=(a255*a250);
-  a250=(a200?a250:0);
-  a254=(a254-a250);
-  a254=(a058*a254);
-  if (res[0]!=0) res[0][118]=a254;
-  a207=(a255/a207);
-  a255=(a255*a207);
-  a255=(a200?a255:0);
-  a256=(a256-a255);
-  a058=(a058*a256);
-  if (res[0]!=0) res[0][119]=a058;
-  a078=(a068?a078:0);
-  a160=(a048?a160:0);
-  a078=(a078+a160);
-  a075=(a078*a075);
-  a075=(a200?a075:0);
-  a088=(a088-a075);
-  if (res[1]!=0) res[1][0]=a088;
-  a181=(a078*a181);
-  a181=(a200?a181:0);
-  a161=(a161-a181);
-  if (res[1]!=0) res[1][1]=a161;
-  a187=(a078*a187);
-  a187=(a200?a187:0);
-  a162=(a162-a187);
-  if (res[1]!=0) res[1][2]=a162;
-  a192=(a078*a192);
-  a192=(a200?a192:0);
-  a163=(a163-a192);
-  if (res[1]!=0) res[1][3]=a163;
-  a196=(a078*a196);
-  a196=(a200?a196:0);
-  a164=(a164-a196);
-  if (res[1]!=0) res[1][4]=a164;
-  a006=(a078*a006);
-  a006=(a200?a006:0);
-  a165=(a165-a006);
-  if (res[1]!=0) res[1][5]=a165;
-  a006=(a200?a078:0);
-  a020=(a020+a006);
-  a006=(a048?a020:0);
-  a196=(a028?a006:0);
-  a192=(!a028);
-  a143=(a078*a143);
-  a143=(a200?a143:0);
-  a150=(a150-a143);
-  a150=(a192?a150:0);
-  a196=(a196+a150);
-  if (res[2]!=0) res[2][0]=a196;
-  a150=(a106?a006:0);
-  a143=(!a106);
-  a134=(a078*a134);
-  a134=(a200?a134:0);
-  a141=(a141-a134);
-  a141=(a143?a141:0);
-  a150=(a150+a141);
-  if (res[2]!=0) res[2][1]=a150;
-  a141=(a158?a006:0);
-  a134=(!a158);
-  a125=(a078*a125);
-  a125=(a200?a125:0);
-  a132=(a132-a125);
-  a132=(a134?a132:0);
-  a141=(a141+a132);
-  if (res[2]!=0) res[2][2]=a141;
-  a132=(a115?a006:0);
-  a125=(!a115);
-  a116=(a078*a116);
-  a116=(a200?a116:0);
-  a123=(a123-a116);
-  a123=(a125?a123:0);
-  a132=(a132+a123);
-  if (res[2]!=0) res[2][3]=a132;
-  a123=(a157?a006:0);
-  a116=(!a157);
-  a107=(a078*a107);
-  a107=(a200?a107:0);
-  a114=(a114-a107);
-  a114=(a116?a114:0);
-  a123=(a123+a114);
-  if (res[2]!=0) res[2][4]=a123;
-  a114=(a124?a006:0);
-  a107=(!a124);
-  a098=(a078*a098);
-  a098=(a200?a098:0);
-  a105=(a105-a098);
-  a105=(a107?a105:0);
-  a114=(a114+a105);
-  if (res[2]!=0) res[2][5]=a114;
-  a105=(a156?a006:0);
-  a098=(!a156);
-  a089=(a078*a089);
-  a089=(a200?a089:0);
-  a096=(a096-a089);
-  a096=(a098?a096:0);
-  a105=(a105+a096);
-  if (res[2]!=0) res[2][6]=a105;
-  a096=(a133?a006:0);
-  a089=(!a133);
-  a080=(a078*a080);
-  a080=(a200?a080:0);
-  a087=(a087-a080);
-  a087=(a089?a087:0);
-  a096=(a096+a087);
-  if (res[2]!=0) res[2][7]=a096;
-  a006=(a097?a006:0);
-  a087=(!a097);
-  a078=(a078*a025);
-  a078=(a200?a078:0);
-  a077=(a077-a078);
-  a077=(a087?a077:0);
-  a006=(a006+a077);
-  if (res[2]!=0) res[2][8]=a006;
-  a077=(a028?a004:0);
-  a078=arg[9]? arg[9][0] : 0;
-  a078=(a192?a078:0);
-  a077=(a077+a078);
-  if (res[3]!=0) res[3][0]=a077;
-  a078=(a106?a004:0);
-  a025=arg[9]? arg[9][1] : 0;
-  a025=(a143?a025:0);
-  a078=(a078+a025);
-  if (res[3]!=0) res[3][1]=a078;
-  a025=(a158?a004:0);
-  a080=arg[9]? arg[9][2] : 0;
-  a080=(a134?a080:0);
-  a025=(a025+a080);
-  if (res[3]!=0) res[3][2]=a025;
-  a080=(a115?a004:0);
-  a187=arg[9]? arg[9][3] : 0;
-  a187=(a125?a187:0);
-  a080=(a080+a187);
-  if (res[3]!=0) res[3][3]=a080;
-  a187=(a157?a004:0);
-  a181=arg[9]? arg[9][4] : 0;
-  a181=(a116?a181:0);
-  a187=(a187+a181);
-  if (res[3]!=0) res[3][4]=a187;
-  a181=(a124?a004:0);
-  a075=arg[9]? arg[9][5] : 0;
-  a075=(a107?a075:0);
-  a181=(a181+a075);
-  if (res[3]!=0) res[3][5]=a181;
-  a075=(a156?a004:0);
-  a160=arg[9]? arg[9][6] : 0;
-  a160=(a098?a160:0);
-  a075=(a075+a160);
-  if (res[3]!=0) res[3][6]=a075;
-  a160=(a133?a004:0);
-  a058=arg[9]? arg[9][7] : 0;
-  a058=(a089?a058:0);
-  a160=(a160+a058);
-  if (res[3]!=0) res[3][7]=a160;
-  a004=(a097?a004:0);
-  a058=arg[9]? arg[9][8] : 0;
-  a058=(a087?a058:0);
-  a004=(a004+a058);
-  if (res[3]!=0) res[3][8]=a004;
-  a058=(a068?a223:0);
-  a256=(a048?a003:0);
-  a058=(a058+a256);
-  a255=(a028?a058:0);
-  a192=(a192?a038:0);
-  a255=(a255+a192);
-  if (res[4]!=0) res[4][0]=a255;
-  a255=(a106?a058:0);
-  a143=(a143?a199:0);
-  a255=(a255+a143);
-  if (res[4]!=0) res[4][1]=a255;
-  a255=(a158?a058:0);
-  a134=(a134?a202:0);
-  a255=(a255+a134);
-  if (res[4]!=0) res[4][2]=a255;
-  a255=(a115?a058:0);
-  a125=(a125?a205:0);
-  a255=(a255+a125);
-  if (res[4]!=0) res[4][3]=a255;
-  a255=(a157?a058:0);
-  a116=(a116?a208:0);
-  a255=(a255+a116);
-  if (res[4]!=0) res[4][4]=a255;
-  a255=(a124?a058:0);
-  a107=(a107?a211:0);
-  a255=(a255+a107);
-  if (res[4]!=0) res[4][5]=a255;
-  a255=(a156?a058:0);
-  a098=(a098?a214:0);
-  a255=(a255+a098);
-  if (res[4]!=0) res[4][6]=a255;
-  a255=(a133?a058:0);
-  a089=(a089?a217:0);
-  a255=(a255+a089);
-  if (res[4]!=0) res[4][7]=a255;
-  a058=(a097?a058:0);
-  a087=(a087?a220:0);
-  a058=(a058+a087);
-  if (res[4]!=0) res[4][8]=a058;
-  a028=(a028*a038);
-  a106=(a106*a199);
-  a028=(a028+a106);
-  a158=(a158*a202);
-  a028=(a028+a158);
-  a115=(a115*a205);
-  a028=(a028+a115);
-  a157=(a157*a208);
-  a028=(a028+a157);
-  a124=(a124*a211);
-  a028=(a028+a124);
-  a156=(a156*a214);
-  a028=(a028+a156);
-  a133=(a133*a217);
-  a028=(a028+a133);
-  a097=(a097*a220);
-  a028=(a028+a097);
-  a028=(a068?a028:0);
-  a028=(a028+a256);
-  a001=(a028==a001);
-  a256=(a001?a068:0);
-  a001=(!a001);
-  a097=arg[11]? arg[11][0] : 0;
-  a001=(a001?a097:0);
-  a256=(a256+a001);
-  if (res[5]!=0) res[5][0]=a256;
-  a001=(a028==a007);
-  a097=(a001?a068:0);
-  a001=(!a001);
-  a220=arg[11]? arg[11][1] : 0;
-  a001=(a001?a220:0);
-  a097=(a097+a001);
-  if (res[5]!=0) res[5][1]=a097;
-  a001=(a028==a010);
-  a220=(a001?a068:0);
-  a001=(!a001);
-  a133=arg[11]? arg[11][2] : 0;
-  a001=(a001?a133:0);
-  a220=(a220+a001);
-  if (res[5]!=0) res[5][2]=a220;
-  a001=(a028==a013);
-  a133=(a001?a068:0);
-  a001=(!a001);
-  a217=arg[11]? arg[11][3] : 0;
-  a001=(a001?a217:0);
-  a133=(a133+a001);
-  if (res[5]!=0) res[5][3]=a133;
-  a001=(a028==a016);
-  a217=(a001?a068:0);
-  a001=(!a001);
-  a156=arg[11]? arg[11][4] : 0;
-  a001=(a001?a156:0);
-  a217=(a217+a001);
-  if (res[5]!=0) res[5][4]=a217;
-  a001=(a028==a019);
-  a156=(a001?a068:0);
-  a001=(!a001);
-  a214=arg[11]? arg[11][5] : 0;
-  a001=(a001?a214:0);
-  a156=(a156+a001);
-  if (res[5]!=0) res[5][5]=a156;
-  a001=(a028==a022);
-  a214=(a001?a068:0);
-  a001=(!a001);
-  a124=arg[11]? arg[11][6] : 0;
-  a001=(a001?a124:0);
-  a214=(a214+a001);
-  if (res[5]!=0) res[5][6]=a214;
-  a001=(a028==a034);
-  a124=(a001?a068:0);
-  a001=(!a001);
-  a211=arg[11]? arg[11][7] : 0;
-  a001=(a001?a211:0);
-  a124=(a124+a001);
-  if (res[5]!=0) res[5][7]=a124;
-  a001=(a028==a044);
-  a211=(a001?a068:0);
-  a001=(!a001);
-  a157=arg[11]? arg[11][8] : 0;
-  a001=(a001?a157:0);
-  a211=(a211+a001);
-  if (res[5]!=0) res[5][8]=a211;
-  a001=(a028==a054);
-  a157=(a001?a068:0);
-  a001=(!a001);
-  a208=arg[11]? arg[11][9] : 0;
-  a001=(a001?a208:0);
-  a157=(a157+a001);
-  if (res[5]!=0) res[5][9]=a157;
-  a001=(a028==a064);
-  a208=(a001?a068:0);
-  a001=(!a001);
-  a115=arg[11]? arg[11][10] : 0;
-  a001=(a001?a115:0);
-  a208=(a208+a001);
-  if (res[5]!=0) res[5][10]=a208;
-  a028=(a028==a074);
-  a001=(a028?a068:0);
-  a028=(!a028);
-  a115=arg[11]? arg[11][11] : 0;
-  a028=(a028?a115:0);
-  a001=(a001+a028);
-  if (res[5]!=0) res[5][11]=a001;
-  a003=(a068?a003:0);
-  a028=-2.;
-  a201=(a201?a028:0);
-  a028=9.9999999999999998e-13;
-  a077=(a077*a196);
-  a140=(a140*a077);
-  a078=(a078*a150);
-  a131=(a131*a078);
-  a140=(a140+a131);
-  a025=(a025*a141);
-  a122=(a122*a025);
-  a140=(a140+a122);
-  a080=(a080*a132);
-  a113=(a113*a080);
-  a140=(a140+a113);
-  a187=(a187*a123);
-  a104=(a104*a187);
-  a140=(a140+a104);
-  a181=(a181*a114);
-  a095=(a095*a181);
-  a140=(a140+a095);
-  a075=(a075*a105);
-  a086=(a086*a075);
-  a140=(a140+a086);
-  a160=(a160*a096);
-  a076=(a076*a160);
-  a140=(a140+a076);
-  a004=(a004*a006);
-  a002=(a002*a004);
-  a140=(a140+a002);
-  a088=(a088-a140);
-  a005=(a005*a088);
-  a144=(a144*a077);
-  a135=(a135*a078);
-  a144=(a144+a135);
-  a126=(a126*a025);
-  a144=(a144+a126);
-  a117=(a117*a080);
-  a144=(a144+a117);
-  a108=(a108*a187);
-  a144=(a144+a108);
-  a099=(a099*a181);
-  a144=(a144+a099);
-  a090=(a090*a075);
-  a144=(a144+a090);
-  a081=(a081*a160);
-  a144=(a144+a081);
-  a026=(a026*a004);
-  a144=(a144+a026);
-  a161=(a161-a144);
-  a027=(a027*a161);
-  a005=(a005+a027);
-  a145=(a145*a077);
-  a136=(a136*a078);
-  a145=(a145+a136);
-  a127=(a127*a025);
-  a145=(a145+a127);
-  a118=(a118*a080);
-  a145=(a145+a118);
-  a109=(a109*a187);
-  a145=(a145+a109);
-  a100=(a100*a181);
-  a145=(a145+a100);
-  a091=(a091*a075);
-  a145=(a145+a091);
-  a082=(a082*a160);
-  a145=(a145+a082);
-  a036=(a036*a004);
-  a145=(a145+a036);
-  a162=(a162-a145);
-  a037=(a037*a162);
-  a005=(a005+a037);
-  a146=(a146*a077);
-  a137=(a137*a078);
-  a146=(a146+a137);
-  a128=(a128*a025);
-  a146=(a146+a128);
-  a119=(a119*a080);
-  a146=(a146+a119);
-  a110=(a110*a187);
-  a146=(a146+a110);
-  a101=(a101*a181);
-  a146=(a146+a101);
-  a092=(a092*a075);
-  a146=(a146+a092);
-  a083=(a083*a160);
-  a146=(a146+a083);
-  a046=(a046*a004);
-  a146=(a146+a046);
-  a163=(a163-a146);
-  a047=(a047*a163);
-  a005=(a005+a047);
-  a147=(a147*a077);
-  a138=(a138*a078);
-  a147=(a147+a138);
-  a129=(a129*a025);
-  a147=(a147+a129);
-  a120=(a120*a080);
-  a147=(a147+a120);
-  a111=(a111*a187);
-  a147=(a147+a111);
-  a102=(a102*a181);
-  a147=(a147+a102);
-  a093=(a093*a075);
-  a147=(a147+a093);
-  a084=(a084*a160);
-  a147=(a147+a084);
-  a056=(a056*a004);
-  a147=(a147+a056);
-  a164=(a164-a147);
-  a057=(a057*a164);
-  a005=(a005+a057);
-  a148=(a148*a077);
-  a139=(a139*a078);
-  a148=(a148+a139);
-  a130=(a130*a025);
-  a148=(a148+a130);
-  a121=(a121*a080);
-  a148=(a148+a121);
-  a112=(a112*a187);
-  a148=(a148+a112);
-  a103=(a103*a181);
-  a148=(a148+a103);
-  a094=(a094*a075);
-  a148=(a148+a094);
-  a085=(a085*a160);
-  a148=(a148+a085);
-  a066=(a066*a004);
-  a148=(a148+a066);
-  a165=(a165-a148);
-  a067=(a067*a165);
-  a005=(a005+a067);
-  a005=(a005-a166);
-  a256=(a005*a256);
-  a256=(a028<a256);
-  a005=(a256?a005:0);
-  a256=(!a256);
-  a028=(a256?a028:0);
-  a005=(a005+a028);
-  a009=(a009*a088);
-  a029=(a029*a161);
-  a009=(a009+a029);
-  a039=(a039*a162);
-  a009=(a009+a039);
-  a049=(a049*a163);
-  a009=(a009+a049);
-  a059=(a059*a164);
-  a009=(a009+a059);
-  a069=(a069*a165);
-  a009=(a009+a069);
-  a009=(a009-a167);
-  a097=(a009*a097);
-  a097=(a005<a097);
-  a009=(a097?a009:0);
-  a167=(!a097);
-  a005=(a167?a005:0);
-  a009=(a009+a005);
-  a012=(a012*a088);
-  a030=(a030*a161);
-  a012=(a012+a030);
-  a040=(a040*a162);
-  a012=(a012+a040);
-  a050=(a050*a163);
-  a012=(a012+a050);
-  a060=(a060*a164);
-  a012=(a012+a060);
-  a070=(a070*a165);
-  a012=(a012+a070);
-  a012=(a012-a008);
-  a220=(a012*a220);
-  a220=(a009<a220);
-  a012=(a220?a012:0);
-  a008=(!a220);
-  a009=(a008?a009:0);
-  a012=(a012+a009);
-  a015=(a015*a088);
-  a031=(a031*a161);
-  a015=(a015+a031);
-  a041=(a041*a162);
-  a015=(a015+a041);
-  a051=(a051*a163);
-  a015=(a015+a051);
-  a061=(a061*a164);
-  a015=(a015+a061);
-  a071=(a071*a165);
-  a015=(a015+a071);
-  a015=(a015-a011);
-  a133=(a015*a133);
-  a133=(a012<a133);
-  a015=(a133?a015:0);
-  a011=(!a133);
-  a012=(a011?a012:0);
-  a015=(a015+a012);
-  a018=(a018*a088);
-  a032=(a032*a161);
-  a018=(a018+a032);
-  a042=(a042*a162);
-  a018=(a018+a042);
-  a052=(a052*a163);
-  a018=(a018+a052);
-  a062=(a062*a164);
-  a018=(a018+a062);
-  a072=(a072*a165);
-  a018=(a018+a072);
-  a018=(a018-a014);
-  a217=(a018*a217);
-  a217=(a015<a217);
-  a018=(a217?a018:0);
-  a014=(!a217);
-  a015=(a014?a015:0);
-  a018=(a018+a015);
-  a021=(a021*a088);
-  a033=(a033*a161);
-  a021=(a021+a033);
-  a043=(a043*a162);
-  a021=(a021+a043);
-  a053=(a053*a163);
-  a021=(a021+a053);
-  a063=(a063*a164);
-  a021=(a021+a063);
-  a073=(a073*a165);
-  a021=(a021+a073);
-  a021=(a021-a017);
-  a156=(a021*a156);
-  a156=(a018<a156);
-  a021=(a156?a021:0);
-  a017=(!a156);
-  a018=(a017?a018:0);
-  a021=(a021+a018);
-  a171=(a171-a088);
-  a088=(a088-a168);
-  a168=(a171<a088);
-  a018=(a168?a088:0);
-  a168=(!a168);
-  a168=(a168?a171:0);
-  a018=(a018+a168);
-  a214=(a018*a214);
-  a214=(a021<a214);
-  a018=(a214?a018:0);
-  a168=(!a214);
-  a021=(a168?a021:0);
-  a018=(a018+a021);
-  a172=(a172-a161);
-  a161=(a161-a023);
-  a023=(a172<a161);
-  a021=(a023?a161:0);
-  a023=(!a023);
-  a023=(a023?a172:0);
-  a021=(a021+a023);
-  a124=(a021*a124);
-  a124=(a018<a124);
-  a021=(a124?a021:0);
-  a023=(!a124);
-  a018=(a023?a018:0);
-  a021=(a021+a018);
-  a173=(a173-a162);
-  a162=(a162-a035);
-  a035=(a173<a162);
-  a018=(a035?a162:0);
-  a035=(!a035);
-  a035=(a035?a173:0);
-  a018=(a018+a035);
-  a211=(a018*a211);
-  a211=(a021<a211);
-  a018=(a211?a018:0);
-  a035=(!a211);
-  a021=(a035?a021:0);
-  a018=(a018+a021);
-  a174=(a174-a163);
-  a163=(a163-a045);
-  a045=(a174<a163);
-  a021=(a045?a163:0);
-  a045=(!a045);
-  a045=(a045?a174:0);
-  a021=(a021+a045);
-  a157=(a021*a157);
-  a157=(a018<a157);
-  a021=(a157?a021:0);
-  a045=(!a157);
-  a018=(a045?a018:0);
-  a021=(a021+a018);
-  a175=(a175-a164);
-  a164=(a164-a055);
-  a055=(a175<a164);
-  a018=(a055?a164:0);
-  a055=(!a055);
-  a055=(a055?a175:0);
-  a018=(a018+a055);
-  a208=(a018*a208);
-  a208=(a021<a208);
-  a018=(a208?a018:0);
-  a055=(!a208);
-  a021=(a055?a021:0);
-  a018=(a018+a021);
-  a169=(a169-a165);
-  a165=(a165-a065);
-  a065=(a169<a165);
-  a021=(a065?a165:0);
-  a065=(!a065);
-  a065=(a065?a169:0);
-  a021=(a021+a065);
-  a021=(a021*a001);
-  a018=(a018<a021);
-  a074=(a018?a074:0);
-  a021=(!a018);
-  a064=(a208?a064:0);
-  a054=(a157?a054:0);
-  a044=(a211?a044:0);
-  a034=(a124?a034:0);
-  a022=(a214?a022:0);
-  a156=(a156?a019:0);
-  a217=(a217?a016:0);
-  a133=(a133?a013:0);
-  a220=(a220?a010:0);
-  a097=(a097?a007:0);
-  a256=(a256?a223:0);
-  a167=(a167?a256:0);
-  a097=(a097+a167);
-  a008=(a008?a097:0);
-  a220=(a220+a008);
-  a011=(a011?a220:0);
-  a133=(a133+a011);
-  a014=(a014?a133:0);
-  a217=(a217+a014);
-  a017=(a017?a217:0);
-  a156=(a156+a017);
-  a156=(a168?a156:0);
-  a022=(a022+a156);
-  a022=(a023?a022:0);
-  a034=(a034+a022);
-  a034=(a035?a034:0);
-  a044=(a044+a034);
-  a044=(a045?a044:0);
-  a054=(a054+a044);
-  a054=(a055?a054:0);
-  a064=(a064+a054);
-  a064=(a021?a064:0);
-  a074=(a074+a064);
-  a200=(a200?a074:0);
-  a201=(a201+a200);
-  a201=(a048?a201:0);
-  a003=(a003+a201);
-  if (res[6]!=0) res[6][0]=a003;
-  a024=(a068?a024:0);
-  a169=(a169<=a165);
-  a165=(a169?a007:0);
-  a169=(!a169);
-  a169=(a169?a223:0);
-  a165=(a165+a169);
-  a018=(a018?a165:0);
-  a175=(a175<=a164);
-  a164=(a175?a007:0);
-  a175=(!a175);
-  a175=(a175?a223:0);
-  a164=(a164+a175);
-  a208=(a208?a164:0);
-  a174=(a174<=a163);
-  a163=(a174?a007:0);
-  a174=(!a174);
-  a174=(a174?a223:0);
-  a163=(a163+a174);
-  a157=(a157?a163:0);
-  a173=(a173<=a162);
-  a162=(a173?a007:0);
-  a173=(!a173);
-  a173=(a173?a223:0);
-  a162=(a162+a173);
-  a211=(a211?a162:0);
-  a172=(a172<=a161);
-  a161=(a172?a007:0);
-  a172=(!a172);
-  a172=(a172?a223:0);
-  a161=(a161+a172);
-  a124=(a124?a161:0);
-  a171=(a171<=a088);
-  a088=(a171?a007:0);
-  a171=(!a171);
-  a171=(a171?a223:0);
-  a088=(a088+a171);
-  a214=(a214?a088:0);
-  a168=(a168?a007:0);
-  a214=(a214+a168);
-  a023=(a023?a214:0);
-  a124=(a124+a023);
-  a035=(a035?a124:0);
-  a211=(a211+a035);
-  a045=(a045?a211:0);
-  a157=(a157+a045);
-  a055=(a055?a157:0);
-  a208=(a208+a055);
-  a021=(a021?a208:0);
-  a018=(a018+a021);
-  a048=(a048?a018:0);
-  a024=(a024+a048);
-  if (res[6]!=0) res[6][1]=a024;
-  a068=(a068?a020:0);
-  if (res[6]!=0) res[6][2]=a068;
-  a068=arg[12]? arg[12][3] : 0;
-  a068=(a068+a007);
-  if (res[6]!=0) res[6][3]=a068;
-  return 0;
-}
-
-/* qp_finish:(i0[6],i1[21],i2[36],i3[6],i4[6],i5[6],i6[120],i7[6],i8[9],i9[9],i10[9],i11[12],i12[4])->(o0[6],o1[12],o2,o3) */
-static int casadi_f12(const casadi_real** arg, casadi_real** res, casadi_int* iw, casadi_real* w, int mem) {
-  casadi_real a00, a01, a02, a03, a04, a05, a06, a07, a08, a09, a10, a11;
-  casadi_real a12, a13, a14, a15, a16, a17, a18, a19, a20, a21, a22, a23;
-  casadi_real a24, a25, a26, a27, a28, a29, a30, a31, a32, a33, a34, a35;
-  casadi_real a36, a37, a38, a39, a40, a41, a42, a43, a44, a45, a46, a47;
-  casadi_real a48, a49, a50, a51, a52, a53, a54, a55, a56, a57, a58, a59;
-  casadi_real a60, a61, a62, a63, a64, a65, a66, a67, a68, a69;
-  a00=arg[12]? arg[12][0] : 0;
-  a01=-1.;
-  a00=(a00==a01);
-  a01=1.;
-  a02=(a00?a01:0);
-  a03=(!a00);
-  a04=0.;
-  a05=arg[3]? arg[3][0] : 0;
-  a06=(a04<=a05);
-  a07=1.0000000000000001e-09;
-  a08=(a05+a07);
-  a09=arg[2]? arg[2][0] : 0;
-  a10=arg[7]? arg[7][0] : 0;
-  a11=arg[6]? arg[6][21] : 0;
-  a12=arg[9]? arg[9][0] : 0;
-  a13=arg[8]? arg[8][0] : 0;
-  a13=(a12*a13);
-  a14=(a11*a13);
-  a15=arg[6]? arg[6][28] : 0;
-  a16=arg[9]? arg[9][1] : 0;
-  a17=arg[8]? arg[8][1] : 0;
-  a17=(a16*a17);
-  a18=(a15*a17);
-  a14=(a14+a18);
-  a18=arg[6]? arg[6][36] : 0;
-  a19=arg[9]? arg[9][2] : 0;
-  a20=arg[8]? arg[8][2] : 0;
-  a20=(a19*a20);
-  a21=(a18*a20);
-  a14=(a14+a21);
-  a21=arg[6]? arg[6][45] : 0;
-  a22=arg[9]? arg[9][3] : 0;
-  a23=arg[8]? arg[8][3] : 0;
-  a23=(a22*a23);
-  a24=(a21*a23);
-  a14=(a14+a24);
-  a24=arg[6]? arg[6][55] : 0;
-  a25=arg[9]? arg[9][4] : 0;
-  a26=arg[8]? arg[8][4] : 0;
-  a26=(a25*a26);
-  a27=(a24*a26);
-  a14=(a14+a27);
-  a27=arg[6]? arg[6][66] : 0;
-  a28=arg[9]? arg[9][5] : 0;
-  a29=arg[8]? arg[8][5] : 0;
-  a29=(a28*a29);
-  a30=(a27*a29);
-  a14=(a14+a30);
-  a30=arg[6]? arg[6][78] : 0;
-  a31=arg[9]? arg[9][6] : 0;
-  a32=arg[8]? arg[8][6] : 0;
-  a32=(a31*a32);
-  a33=(a30*a32);
-  a14=(a14+a33);
-  a33=arg[6]? arg[6][91] : 0;
-  a34=arg[9]? arg[9][7] : 0;
-  a35=arg[8]? arg[8][7] : 0;
-  a35=(a34*a35);
-  a36=(a33*a35);
-  a14=(a14+a36);
-  a36=arg[6]? arg[6][105] : 0;
-  a37=arg[9]? arg[9][8] : 0;
-  a38=arg[8]? arg[8][8] : 0;
-  a38=(a37*a38);
-  a39=(a36*a38);
-  a14=(a14+a39);
-  a10=(a10-a14);
-  a14=arg[6]? arg[6][27] : 0;
-  a14=(a14*a13);
-  a39=arg[6]? arg[6][34] : 0;
-  a40=(a39*a17);
-  a14=(a14+a40);
-  a40=arg[6]? arg[6][42] : 0;
-  a41=(a40*a20);
-  a14=(a14+a41);
-  a41=arg[6]? arg[6][51] : 0;
-  a42=(a41*a23);
-  a14=(a14+a42);
-  a42=arg[6]? arg[6][61] : 0;
-  a43=(a42*a26);
-  a14=(a14+a43);
-  a43=arg[6]? arg[6][72] : 0;
-  a44=(a43*a29);
-  a14=(a14+a44);
-  a44=arg[6]? arg[6][84] : 0;
-  a45=(a44*a32);
-  a14=(a14+a45);
-  a45=arg[6]? arg[6][97] : 0;
-  a46=(a45*a35);
-  a14=(a14+a46);
-  a46=arg[6]? arg[6][111] : 0;
-  a47=(a46*a38);
-  a14=(a14+a47);
-  a12=(a12*a14);
-  a11=(a11*a12);
-  a39=(a39*a13);
-  a14=arg[6]? arg[6][35] : 0;
-  a14=(a14*a17);
-  a39=(a39+a14);
-  a14=arg[6]? arg[6][43] : 0;
-  a47=(a14*a20);
-  a39=(a39+a47);
-  a47=arg[6]? arg[6][52] : 0;
-  a48=(a47*a23);
-  a39=(a39+a48);
-  a48=arg[6]? arg[6][62] : 0;
-  a49=(a48*a26);
-  a39=(a39+a49);
-  a49=arg[6]? arg[6][73] : 0;
-  a50=(a49*a29);
-  a39=(a39+a50);
-  a50=arg[6]? arg[6][85] : 0;
-  a51=(a50*a32);
-  a39=(a39+a51);
-  a51=arg[6]? arg[6][98] : 0;
-  a52=(a51*a35);
-  a39=(a39+a52);
-  a52=arg[6]? arg[6][112] : 0;
-  a53=(a52*a38);
-  a39=(a39+a53);
-  a16=(a16*a39);
-  a15=(a15*a16);
-  a11=(a11+a15);
-  a40=(a40*a13);
-  a14=(a14*a17);
-  a40=(a40+a14);
-  a14=arg[6]? arg[6][44] : 0;
-  a14=(a14*a20);
-  a40=(a40+a14);
-  a14=arg[6]? arg[6][53] : 0;
-  a15=(a14*a23);
-  a40=(a40+a15);
-  a15=arg[6]? arg[6][63] : 0;
-  a39=(a15*a26);
-  a40=(a40+a39);
-  a39=arg[6]? arg[6][74] : 0;
-  a53=(a39*a29);
-  a40=(a40+a53);
-  a53=arg[6]? arg[6][86] : 0;
-  a54=(a53*a32);
-  a40=(a40+a54);
-  a54=arg[6]? arg[6][99] : 0;
-  a55=(a54*a35);
-  a40=(a40+a55);
-  a55=arg[6]? arg[6][113] : 0;
-  a56=(a55*a38);
-  a40=(a40+a56);
-  a19=(a19*a40);
-  a18=(a18*a19);
-  a11=(a11+a18);
-  a41=(a41*a13);
-  a47=(a47*a17);
-  a41=(a41+a47);
-  a14=(a14*a20);
-  a41=(a41+a14);
-  a14=arg[6]? arg[6][54] : 0;
-  a14=(a14*a23);
-  a41=(a41+a14);
-  a14=arg[6]? arg[6][64] : 0;
-  a47=(a14*a26);
-  a41=(a41+a47);
-  a47=arg[6]? arg[6][75] : 0;
-  a18=(a47*a29);
-  a41=(a41+a18);
-  a18=arg[6]? arg[6][87] : 0;
-  a40=(a18*a32);
-  a41=(a41+a40);
-  a40=arg[6]? arg[6][100] : 0;
-  a56=(a40*a35);
-  a41=(a41+a56);
-  a56=arg[6]? arg[6][114] : 0;
-  a57=(a56*a38);
-  a41=(a41+a57);
-  a22=(a22*a41);
-  a21=(a21*a22);
-  a11=(a11+a21);
-  a42=(a42*a13);
-  a48=(a48*a17);
-  a42=(a42+a48);
-  a15=(a15*a20);
-  a42=(a42+a15);
-  a14=(a14*a23);
-  a42=(a42+a14);
-  a14=arg[6]? arg[6][65] : 0;
-  a14=(a14*a26);
-  a42=(a42+a14);
-  a14=arg[6]? arg[6][76] : 0;
-  a15=(a14*a29);
-  a42=(a42+a15);
-  a15=arg[6]? arg[6][88] : 0;
-  a48=(a15*a32);
-  a42=(a42+a48);
-  a48=arg[6]? arg[6][101] : 0;
-  a21=(a48*a35);
-  a42=(a42+a21);
-  a21=arg[6]? arg[6][115] : 0;
-  a41=(a21*a38);
-  a42=(a42+a41);
-  a25=(a25*a42);
-  a24=(a24*a25);
-  a11=(a11+a24);
-  a43=(a43*a13);
-  a49=(a49*a17);
-  a43=(a43+a49);
-  a39=(a39*a20);
-  a43=(a43+a39);
-  a47=(a47*a23);
-  a43=(a43+a47);
-  a14=(a14*a26);
-  a43=(a43+a14);
-  a14=arg[6]? arg[6][77] : 0;
-  a14=(a14*a29);
-  a43=(a43+a14);
-  a14=arg[6]? arg[6][89] : 0;
-  a47=(a14*a32);
-  a43=(a43+a47);
-  a47=arg[6]? arg[6][102] : 0;
-  a39=(a47*a35);
-  a43=(a43+a39);
-  a39=arg[6]? arg[6][116] : 0;
-  a49=(a39*a38);
-  a43=(a43+a49);
-  a28=(a28*a43);
-  a27=(a27*a28);
-  a11=(a11+a27);
-  a44=(a44*a13);
-  a50=(a50*a17);
-  a44=(a44+a50);
-  a53=(a53*a20);
-  a44=(a44+a53);
-  a18=(a18*a23);
-  a44=(a44+a18);
-  a15=(a15*a26);
-  a44=(a44+a15);
-  a14=(a14*a29);
-  a44=(a44+a14);
-  a14=arg[6]? arg[6][90] : 0;
-  a14=(a14*a32);
-  a44=(a44+a14);
-  a14=arg[6]? arg[6][103] : 0;
-  a15=(a14*a35);
-  a44=(a44+a15);
-  a15=arg[6]? arg[6][117] : 0;
-  a18=(a15*a38);
-  a44=(a44+a18);
-  a31=(a31*a44);
-  a30=(a30*a31);
-  a11=(a11+a30);
-  a45=(a45*a13);
-  a51=(a51*a17);
-  a45=(a45+a51);
-  a54=(a54*a20);
-  a45=(a45+a54);
-  a40=(a40*a23);
-  a45=(a45+a40);
-  a48=(a48*a26);
-  a45=(a45+a48);
-  a47=(a47*a29);
-  a45=(a45+a47);
-  a14=(a14*a32);
-  a45=(a45+a14);
-  a14=arg[6]? arg[6][104] : 0;
-  a14=(a14*a35);
-  a45=(a45+a14);
-  a14=arg[6]? arg[6][118] : 0;
-  a47=(a14*a38);
-  a45=(a45+a47);
-  a34=(a34*a45);
-  a33=(a33*a34);
-  a11=(a11+a33);
-  a46=(a46*a13);
-  a52=(a52*a17);
-  a46=(a46+a52);
-  a55=(a55*a20);
-  a46=(a46+a55);
-  a56=(a56*a23);
-  a46=(a46+a56);
-  a21=(a21*a26);
-  a46=(a46+a21);
-  a39=(a39*a29);
-  a46=(a46+a39);
-  a15=(a15*a32);
-  a46=(a46+a15);
-  a14=(a14*a35);
-  a46=(a46+a14);
-  a14=arg[6]? arg[6][119] : 0;
-  a14=(a14*a38);
-  a46=(a46+a14);
-  a37=(a37*a46);
-  a36=(a36*a37);
-  a11=(a11+a36);
-  a10=(a10+a11);
-  a11=arg[4]? arg[4][0] : 0;
-  a10=casadi_fmax(a10,a11);
-  a36=arg[5]? arg[5][0] : 0;
-  a10=casadi_fmin(a10,a36);
-  a46=(a09*a10);
-  a14=arg[2]? arg[2][6] : 0;
-  a15=arg[7]? arg[7][1] : 0;
-  a39=arg[6]? arg[6][22] : 0;
-  a21=(a39*a13);
-  a56=arg[6]? arg[6][29] : 0;
-  a55=(a56*a17);
-  a21=(a21+a55);
-  a55=arg[6]? arg[6][37] : 0;
-  a52=(a55*a20);
-  a21=(a21+a52);
-  a52=arg[6]? arg[6][46] : 0;
-  a33=(a52*a23);
-  a21=(a21+a33);
-  a33=arg[6]? arg[6][56] : 0;
-  a45=(a33*a26);
-  a21=(a21+a45);
-  a45=arg[6]? arg[6][67] : 0;
-  a47=(a45*a29);
-  a21=(a21+a47);
-  a47=arg[6]? arg[6][79] : 0;
-  a48=(a47*a32);
-  a21=(a21+a48);
-  a48=arg[6]? arg[6][92] : 0;
-  a40=(a48*a35);
-  a21=(a21+a40);
-  a40=arg[6]? arg[6][106] : 0;
-  a54=(a40*a38);
-  a21=(a21+a54);
-  a15=(a15-a21);
-  a39=(a39*a12);
-  a56=(a56*a16);
-  a39=(a39+a56);
-  a55=(a55*a19);
-  a39=(a39+a55);
-  a52=(a52*a22);
-  a39=(a39+a52);
-  a33=(a33*a25);
-  a39=(a39+a33);
-  a45=(a45*a28);
-  a39=(a39+a45);
-  a47=(a47*a31);
-  a39=(a39+a47);
-  a48=(a48*a34);
-  a39=(a39+a48);
-  a40=(a40*a37);
-  a39=(a39+a40);
-  a15=(a15+a39);
-  a39=arg[4]? arg[4][1] : 0;
-  a15=casadi_fmax(a15,a39);
-  a40=arg[5]? arg[5][1] : 0;
-  a15=casadi_fmin(a15,a40);
-  a48=(a14*a15);
-  a46=(a46+a48);
-  a48=arg[2]? arg[2][12] : 0;
-  a47=arg[7]? arg[7][2] : 0;
-  a45=arg[6]? arg[6][23] : 0;
-  a33=(a45*a13);
-  a52=arg[6]? arg[6][30] : 0;
-  a55=(a52*a17);
-  a33=(a33+a55);
-  a55=arg[6]? arg[6][38] : 0;
-  a56=(a55*a20);
-  a33=(a33+a56);
-  a56=arg[6]? arg[6][47] : 0;
-  a21=(a56*a23);
-  a33=(a33+a21);
-  a21=arg[6]? arg[6][57] : 0;
-  a54=(a21*a26);
-  a33=(a33+a54);
-  a54=arg[6]? arg[6][68] : 0;
-  a51=(a54*a29);
-  a33=(a33+a51);
-  a51=arg[6]? arg[6][80] : 0;
-  a30=(a51*a32);
-  a33=(a33+a30);
-  a30=arg[6]? arg[6][93] : 0;
-  a44=(a30*a35);
-  a33=(a33+a44);
-  a44=arg[6]? arg[6][107] : 0;
-  a18=(a44*a38);
-  a33=(a33+a18);
-  a47=(a47-a33);
-  a45=(a45*a12);
-  a52=(a52*a16);
-  a45=(a45+a52);
-  a55=(a55*a19);
-  a45=(a45+a55);
-  a56=(a56*a22);
-  a45=(a45+a56);
-  a21=(a21*a25);
-  a45=(a45+a21);
-  a54=(a54*a28);
-  a45=(a45+a54);
-  a51=(a51*a31);
-  a45=(a45+a51);
-  a30=(a30*a34);
-  a45=(a45+a30);
-  a44=(a44*a37);
-  a45=(a45+a44);
-  a47=(a47+a45);
-  a45=arg[4]? arg[4][2] : 0;
-  a47=casadi_fmax(a47,a45);
-  a44=arg[5]? arg[5][2] : 0;
-  a47=casadi_fmin(a47,a44);
-  a30=(a48*a47);
-  a46=(a46+a30);
-  a30=arg[2]? arg[2][18] : 0;
-  a51=arg[7]? arg[7][3] : 0;
-  a54=arg[6]? arg[6][24] : 0;
-  a21=(a54*a13);
-  a56=arg[6]? arg[6][31] : 0;
-  a55=(a56*a17);
-  a21=(a21+a55);
-  a55=arg[6]? arg[6][39] : 0;
-  a52=(a55*a20);
-  a21=(a21+a52);
-  a52=arg[6]? arg[6][48] : 0;
-  a33=(a52*a23);
-  a21=(a21+a33);
-  a33=arg[6]? arg[6][58] : 0;
-  a18=(a33*a26);
-  a21=(a21+a18);
-  a18=arg[6]? arg[6][69] : 0;
-  a53=(a18*a29);
-  a21=(a21+a53);
-  a53=arg[6]? arg[6][81] : 0;
-  a50=(a53*a32);
-  a21=(a21+a50);
-  a50=arg[6]? arg[6][94] : 0;
-  a27=(a50*a35);
-  a21=(a21+a27);
-  a27=arg[6]? arg[6][108] : 0;
-  a43=(a27*a38);
-  a21=(a21+a43);
-  a51=(a51-a21);
-  a54=(a54*a12);
-  a56=(a56*a16);
-  a54=(a54+a56);
-  a55=(a55*a19);
-  a54=(a54+a55);
-  a52=(a52*a22);
-  a54=(a54+a52);
-  a33=(a33*a25);
-  a54=(a54+a33);
-  a18=(a18*a28);
-  a54=(a54+a18);
-  a53=(a53*a31);
-  a54=(a54+a53);
-  a50=(a50*a34);
-  a54=(a54+a50);
-  a27=(a27*a37);
-  a54=(a54+a27);
-  a51=(a51+a54);
-  a54=arg[4]? arg[4][3] : 0;
-  a51=casadi_fmax(a51,a54);
-  a27=arg[5]? arg[5][3] : 0;
-  a51=casadi_fmin(a51,a27);
-  a50=(a30*a51);
-  a46=(a46+a50);
-  a50=arg[2]? arg[2][24] : 0;
-  a53=arg[7]? arg[7][4] : 0;
-  a18=arg[6]? arg[6][25] : 0;
-  a33=(a18*a13);
-  a52=arg[6]? arg[6][32] : 0;
-  a55=(a52*a17);
-  a33=(a33+a55);
-  a55=arg[6]? arg[6][40] : 0;
-  a56=(a55*a20);
-  a33=(a33+a56);
-  a56=arg[6]? arg[6][49] : 0;
-  a21=(a56*a23);
-  a33=(a33+a21);
-  a21=arg[6]? arg[6][59] : 0;
-  a43=(a21*a26);
-  a33=(a33+a43);
-  a43=arg[6]? arg[6][70] : 0;
-  a49=(a43*a29);
-  a33=(a33+a49);
-  a49=arg[6]? arg[6][82] : 0;
-  a24=(a49*a32);
-  a33=(a33+a24);
-  a24=arg[6]? arg[6][95] : 0;
-  a42=(a24*a35);
-  a33=(a33+a42);
-  a42=arg[6]? arg[6][109] : 0;
-  a41=(a42*a38);
-  a33=(a33+a41);
-  a53=(a53-a33);
-  a18=(a18*a12);
-  a52=(a52*a16);
-  a18=(a18+a52);
-  a55=(a55*a19);
-  a18=(a18+a55);
-  a56=(a56*a22);
-  a18=(a18+a56);
-  a21=(a21*a25);
-  a18=(a18+a21);
-  a43=(a43*a28);
-  a18=(a18+a43);
-  a49=(a49*a31);
-  a18=(a18+a49);
-  a24=(a24*a34);
-  a18=(a18+a24);
-  a42=(a42*a37);
-  a18=(a18+a42);
-  a53=(a53+a18);
-  a18=arg[4]? arg[4][4] : 0;
-  a53=casadi_fmax(a53,a18);
-  a42=arg[5]? arg[5][4] : 0;
-  a53=casadi_fmin(a53,a42);
-  a24=(a50*a53);
-  a46=(a46+a24);
-  a24=arg[2]? arg[2][30] : 0;
-  a49=arg[7]? arg[7][5] : 0;
-  a43=arg[6]? arg[6][26] : 0;
-  a13=(a43*a13);
-  a21=arg[6]? arg[6][33] : 0;
-  a17=(a21*a17);
-  a13=(a13+a17);
-  a17=arg[6]? arg[6][41] : 0;
-  a20=(a17*a20);
-  a13=(a13+a20);
-  a20=arg[6]? arg[6][50] : 0;
-  a23=(a20*a23);
-  a13=(a13+a23);
-  a23=arg[6]? arg[6][60] : 0;
-  a26=(a23*a26);
-  a13=(a13+a26);
-  a26=arg[6]? arg[6][71] : 0;
-  a29=(a26*a29);
-  a13=(a13+a29);
-  a29=arg[6]? arg[6][83] : 0;
-  a32=(a29*a32);
-  a13=(a13+a32);
-  a32=arg[6]? arg[6][96] : 0;
-  a35=(a32*a35);
-  a13=(a13+a35);
-  a35=arg[6]? arg[6][110] : 0;
-  a38=(a35*a38);
-  a13=(a13+a38);
-  a49=(a49-a13);
-  a43=(a43*a12);
-  a21=(a21*a16);
-  a43=(a43+a21);
-  a17=(a17*a19);
-  a43=(a43+a17);
-  a20=(a20*a22);
-  a43=(a43+a20);
-  a23=(a23*a25);
-  a43=(a43+a23);
-  a26=(a26*a28);
-  a43=(a43+a26);
-  a29=(a29*a31);
-  a43=(a43+a29);
-  a32=(a32*a34);
-  a43=(a43+a32);
-  a35=(a35*a37);
-  a43=(a43+a35);
-  a49=(a49+a43);
-  a43=arg[4]? arg[4][5] : 0;
-  a49=casadi_fmax(a49,a43);
-  a35=arg[5]? arg[5][5] : 0;
-  a49=casadi_fmin(a49,a35);
-  a37=(a24*a49);
-  a46=(a46+a37);
-  a37=(a08<a46);
-  a06=(a06&&a37);
-  a08=(a08/a46);
-  a08=(a06?a08:0);
-  a06=(!a06);
-  a06=(a06?a01:0);
-  a08=(a08+a06);
-  a06=(a01<a08);
-  a46=(a06?a01:0);
-  a06=(!a06);
-  a06=(a06?a08:0);
-  a46=(a46+a06);
-  a06=arg[3]? arg[3][1] : 0;
-  a08=(a04<=a06);
-  a37=(a06+a07);
-  a32=arg[2]? arg[2][1] : 0;
-  a34=(a32*a10);
-  a29=arg[2]? arg[2][7] : 0;
-  a31=(a29*a15);
-  a34=(a34+a31);
-  a31=arg[2]? arg[2][13] : 0;
-  a26=(a31*a47);
-  a34=(a34+a26);
-  a26=arg[2]? arg[2][19] : 0;
-  a28=(a26*a51);
-  a34=(a34+a28);
-  a28=arg[2]? arg[2][25] : 0;
-  a23=(a28*a53);
-  a34=(a34+a23);
-  a23=arg[2]? arg[2][31] : 0;
-  a25=(a23*a49);
-  a34=(a34+a25);
-  a25=(a37<a34);
-  a08=(a08&&a25);
-  a37=(a37/a34);
-  a37=(a08?a37:0);
-  a08=(!a08);
-  a08=(a08?a01:0);
-  a37=(a37+a08);
-  a08=(a46<a37);
-  a46=(a08?a46:0);
-  a08=(!a08);
-  a08=(a08?a37:0);
-  a46=(a46+a08);
-  a08=arg[3]? arg[3][2] : 0;
-  a37=(a04<=a08);
-  a34=(a08+a07);
-  a25=arg[2]? arg[2][2] : 0;
-  a20=(a25*a10);
-  a22=arg[2]? arg[2][8] : 0;
-  a17=(a22*a15);
-  a20=(a20+a17);
-  a17=arg[2]? arg[2][14] : 0;
-  a19=(a17*a47);
-  a20=(a20+a19);
-  a19=arg[2]? arg[2][20] : 0;
-  a21=(a19*a51);
-  a20=(a20+a21);
-  a21=arg[2]? arg[2][26] : 0;
-  a16=(a21*a53);
-  a20=(a20+a16);
-  a16=arg[2]? arg[2][32] : 0;
-  a12=(a16*a49);
-  a20=(a20+a12);
-  a12=(a34<a20);
-  a37=(a37&&a12);
-  a34=(a34/a20);
-  a34=(a37?a34:0);
-  a37=(!a37);
-  a37=(a37?a01:0);
-  a34=(a34+a37);
-  a37=(a46<a34);
-  a46=(a37?a46:0);
-  a37=(!a37);
-  a37=(a37?a34:0);
-  a46=(a46+a37);
-  a37=arg[3]? arg[3][3] : 0;
-  a34=(a04<=a37);
-  a20=(a37+a07);
-  a12=arg[2]? arg[2][3] : 0;
-  a13=(a12*a10);
-  a38=arg[2]? arg[2][9] : 0;
-  a56=(a38*a15);
-  a13=(a13+a56);
-  a56=arg[2]? arg[2][15] : 0;
-  a55=(a56*a47);
-  a13=(a13+a55);
-  a55=arg[2]? arg[2][21] : 0;
-  a52=(a55*a51);
-  a13=(a13+a52);
-  a52=arg[2]? arg[2][27] : 0;
-  a33=(a52*a53);
-  a13=(a13+a33);
-  a33=arg[2]? arg[2][33] : 0;
-  a41=(a33*a49);
-  a13=(a13+a41);
-  a41=(a20<a13);
-  a34=(a34&&a41);
-  a20=(a20/a13);
-  a20=(a34?a20:0);
-  a34=(!a34);
-  a34=(a34?a01:0);
-  a20=(a20+a34);
-  a34=(a46<a20);
-  a46=(a34?a46:0);
-  a34=(!a34);
-  a34=(a34?a20:0);
-  a46=(a46+a34);
-  a34=arg[3]? arg[3][4] : 0;
-  a20=(a04<=a34);
-  a13=(a34+a07);
-  a41=arg[2]? arg[2][4] : 0;
-  a57=(a41*a10);
-  a58=arg[2]? arg[2][10] : 0;
-  a59=(a58*a15);
-  a57=(a57+a59);
-  a59=arg[2]? arg[2][16] : 0;
-  a60=(a59*a47);
-  a57=(a57+a60);
-  a60=arg[2]? arg[2][22] : 0;
-  a61=(a60*a51);
-  a57=(a57+a61);
-  a61=arg[2]? arg[2][28] : 0;
-  a62=(a61*a53);
-  a57=(a57+a62);
-  a62=arg[2]? arg[2][34] : 0;
-  a63=(a62*a49);
-  a57=(a57+a63);
-  a63=(a13<a57);
-  a20=(a20&&a63);
-  a13=(a13/a57);
-  a13=(a20?a13:0);
-  a20=(!a20);
-  a20=(a20?a01:0);
-  a13=(a13+a20);
-  a20=(a46<a13);
-  a46=(a20?a46:0);
-  a20=(!a20);
-  a20=(a20?a13:0);
-  a46=(a46+a20);
-  a20=arg[3]? arg[3][5] : 0;
-  a13=(a04<=a20);
-  a07=(a20+a07);
-  a57=arg[2]? arg[2][5] : 0;
-  a63=(a57*a10);
-  a64=arg[2]? arg[2][11] : 0;
-  a65=(a64*a15);
-  a63=(a63+a65);
-  a65=arg[2]? arg[2][17] : 0;
-  a66=(a65*a47);
-  a63=(a63+a66);
-  a66=arg[2]? arg[2][23] : 0;
-  a67=(a66*a51);
-  a63=(a63+a67);
-  a67=arg[2]? arg[2][29] : 0;
-  a68=(a67*a53);
-  a63=(a63+a68);
-  a68=arg[2]? arg[2][35] : 0;
-  a69=(a68*a49);
-  a63=(a63+a69);
-  a69=(a07<a63);
-  a13=(a13&&a69);
-  a07=(a07/a63);
-  a07=(a13?a07:0);
-  a13=(!a13);
-  a13=(a13?a01:0);
-  a07=(a07+a13);
-  a13=(a46<a07);
-  a46=(a13?a46:0);
-  a13=(!a13);
-  a13=(a13?a07:0);
-  a46=(a46+a13);
-  a03=(a03?a46:0);
-  a02=(a02+a03);
-  a10=(a02*a10);
-  a10=casadi_fmax(a10,a11);
-  a10=casadi_fmin(a10,a36);
-  if (res[0]!=0) res[0][0]=a10;
-  a15=(a02*a15);
-  a15=casadi_fmax(a15,a39);
-  a15=casadi_fmin(a15,a40);
-  if (res[0]!=0) res[0][1]=a15;
-  a47=(a02*a47);
-  a47=casadi_fmax(a47,a45);
-  a47=casadi_fmin(a47,a44);
-  if (res[0]!=0) res[0][2]=a47;
-  a51=(a02*a51);
-  a51=casadi_fmax(a51,a54);
-  a51=casadi_fmin(a51,a27);
-  if (res[0]!=0) res[0][3]=a51;
-  a53=(a02*a53);
-  a53=casadi_fmax(a53,a18);
-  a53=casadi_fmin(a53,a42);
-  if (res[0]!=0) res[0][4]=a53;
-  a02=(a02*a49);
-  a02=casadi_fmax(a02,a43);
-  a02=casadi_fmin(a02,a35);
-  if (res[0]!=0) res[0][5]=a02;
-  a09=(a09*a10);
-  a14=(a14*a15);
-  a09=(a09+a14);
-  a48=(a48*a47);
-  a09=(a09+a48);
-  a30=(a30*a51);
-  a09=(a09+a30);
-  a50=(a50*a53);
-  a09=(a09+a50);
-  a24=(a24*a02);
-  a09=(a09+a24);
-  a09=(a09-a05);
-  a09=casadi_fmax(a04,a09);
-  if (res[1]!=0) res[1][0]=a09;
-  a32=(a32*a10);
-  a29=(a29*a15);
-  a32=(a32+a29);
-  a31=(a31*a47);
-  a32=(a32+a31);
-  a26=(a26*a51);
-  a32=(a32+a26);
-  a28=(a28*a53);
-  a32=(a32+a28);
-  a23=(a23*a02);
-  a32=(a32+a23);
-  a32=(a32-a06);
-  a32=casadi_fmax(a04,a32);
-  if (res[1]!=0) res[1][1]=a32;
-  a25=(a25*a10);
-  a22=(a22*a15);
-  a25=(a25+a22);
-  a17=(a17*a47);
-  a25=(a25+a17);
-  a19=(a19*a51);
-  a25=(a25+a19);
-  a21=(a21*a53);
-  a25=(a25+a21);
-  a16=(a16*a02);
-  a25=(a25+a16);
-  a25=(a25-a08);
-  a25=casadi_fmax(a04,a25);
-  if (res[1]!=0) res[1][2]=a25;
-  a12=(a12*a10);
-  a38=(a38*a15);
-  a12=(a12+a38);
-  a56=(a56*a47);
-  a12=(a12+a56);
-  a55=(a55*a51);
-  a12=(a12+a55);
-  a52=(a52*a53);
-  a12=(a12+a52);
-  a33=(a33*a02);
-  a12=(a12+a33);
-  a12=(a12-a37);
-  a12=casadi_fmax(a04,a12);
-  if (res[1]!=0) res[1][3]=a12;
-  a41=(a41*a10);
-  a58=(a58*a15);
-  a41=(a41+a58);
-  a59=(a59*a47);
-  a41=(a41+a59);
-  a60=(a60*a51);
-  a41=(a41+a60);
-  a61=(a61*a53);
-  a41=(a41+a61);
-  a62=(a62*a02);
-  a41=(a41+a62);
-  a41=(a41-a34);
-  a41=casadi_fmax(a04,a41);
-  if (res[1]!=0) res[1][4]=a41;
-  a57=(a57*a10);
-  a64=(a64*a15);
-  a57=(a57+a64);
-  a65=(a65*a47);
-  a57=(a57+a65);
-  a66=(a66*a51);
-  a57=(a57+a66);
-  a67=(a67*a53);
-  a57=(a57+a67);
-  a68=(a68*a02);
-  a57=(a57+a68);
-  a57=(a57-a20);
-  a57=casadi_fmax(a04,a57);
-  if (res[1]!=0) res[1][5]=a57;
-  a11=(a11-a10);
-  a10=(a10-a36);
-  a36=(a11<a10);
-  a10=(a36?a10:0);
-  a36=(!a36);
-  a36=(a36?a11:0);
-  a10=(a10+a36);
-  a10=casadi_fmax(a04,a10);
-  if (res[1]!=0) res[1][6]=a10;
-  a39=(a39-a15);
-  a15=(a15-a40);
-  a40=(a39<a15);
-  a15=(a40?a15:0);
-  a40=(!a40);
-  a40=(a40?a39:0);
-  a15=(a15+a40);
-  a15=casadi_fmax(a04,a15);
-  if (res[1]!=0) res[1][7]=a15;
-  a45=(a45-a47);
-  a47=(a47-a44);
-  a44=(a45<a47);
-  a47=(a44?a47:0);
-  a44=(!a44);
-  a44=(a44?a45:0);
-  a47=(a47+a44);
-  a47=casadi_fmax(a04,a47);
-  if (res[1]!=0) res[1][8]=a47;
-  a54=(a54-a51);
-  a51=(a51-a27);
-  a27=(a54<a51);
-  a51=(a27?a51:0);
-  a27=(!a27);
-  a27=(a27?a54:0);
-  a51=(a51+a27);
-  a51=casadi_fmax(a04,a51);
-  if (res[1]!=0) res[1][9]=a51;
-  a18=(a18-a53);
-  a53=(a53-a42);
-  a42=(a18<a53);
-  a53=(a42?a53:0);
-  a42=(!a42);
-  a42=(a42?a18:0);
-  a53=(a53+a42);
-  a53=casadi_fmax(a04,a53);
-  if (res[1]!=0) res[1][10]=a53;
-  a43=(a43-a02);
-  a02=(a02-a35);
-  a35=(a43<a02);
-  a02=(a35?a02:0);
-  a35=(!a35);
-  a35=(a35?a43:0);
-  a02=(a02+a35);
-  a04=casadi_fmax(a04,a02);
-  if (res[1]!=0) res[1][11]=a04;
-  a04=arg[12]? arg[12][3] : 0;
-  if (res[2]!=0) res[2][0]=a04;
-  if (res[3]!=0) res[3][0]=a00;
-  return 0;
-}
-
-/* qp_same:(i0[6],i1[21],i2[36],i3[6],i4[6],i5[6],i6[120],i7[6],i8[9],i9[9],i10[9],i11[12],i12[4])->(o0[120],o1[6],o2[9],o3[9],o4[9],o5[12],o6[4]) */
-static int casadi_f25(const casadi_real** arg, casadi_real** res, casadi_int* iw, casadi_real* w, int mem) {
-  casadi_real *w1=w+0, *w4=w+6;
-  const casadi_real *wr0, *wr2, *wr3;
-  /* #0: @0 = input[6][0] */
-  wr0 = arg[6] ? arg[6] : casadi_zeros;
-  /* #1: output[0][0] = @0 */
-  casadi_copy(wr0, 120, res[0]);
-  /* #2: @1 = input[7][0] */
-  casadi_copy(arg[7], 6, w1);
-  /* #3: output[1][0] = @1 */
-  casadi_copy(w1, 6, res[1]);
-  /* #4: @2 = input[8][0] */
-  wr2 = arg[8] ? arg[8] : casadi_zeros;
-  /* #5: output[2][0] = @2 */
-  casadi_copy(wr2, 9, res[2]);
-  /* #6: @2 = input[9][0] */
-  wr2 = arg[9] ? arg[9] : casadi_zeros;
-  /* #7: output[3][0] = @2 */
-  casadi_copy(wr2, 9, res[3]);
-  /* #8: @2 = input[10][0] */
-  wr2 = arg[10] ? arg[10] : casadi_zeros;
-  /* #9: output[4][0] = @2 */
-  casadi_copy(wr2, 9, res[4]);
-  /* #10: @3 = input[11][0] */
-  wr3 = arg[11] ? arg[11] : casadi_zeros;
-  /* #11: output[5][0] = @3 */
-  casadi_copy(wr3, 12, res[5]);
-  /* #12: @4 = input[12][0] */
-  casadi_copy(arg[12], 4, w4);
-  /* #13: output[6][0] = @4 */
-  casadi_copy(w4, 4, res[6]);
-  return 0;
-}
-
-/* qp_steps_2_choice:(i0,i1[6],i2[21],i3[36],i4[6],i5[6],i6[6],i7[120],i8[6],i9[9],i10[9],i11[9],i12[12],i13[4])->(o0[120],o1[6],o2[9],o3[9],o4[9],o5[12],o6[4]) */
-static int casadi_f24(const casadi_real** arg, casadi_real** res, casadi_int* iw, casadi_real* w, int mem) {
-  if (arg[0] ? casadi_to_int(*arg[0]) : 0) {
-    if (casadi_f10(arg+1, res, iw, w, 0)) return 1;
-  } else {
-    if (casadi_f25(arg+1, res, iw, w, 0)) return 1;
-  }
-  return 0;
-}
-
-/* qp_same:(i0[6],i1[21],i2[36],i3[6],i4[6],i5[6],i6[120],i7[6],i8[9],i9[9],i10[9],i11[12],i12[4])->(o0[120],o1[6],o2[9],o3[9],o4[9],o5[12],o6[4]) */
-static int casadi_f27(const casadi_real** arg, casadi_real** res, casadi_int* iw, casadi_real* w, int mem) {
-  casadi_real *w1=w+0, *w4=w+6;
-  const casadi_real *wr0, *wr2, *wr3;
-  /* #0: @0 = input[6][0] */
-  wr0 = arg[6] ? arg[6] : casadi_zeros;
-  /* #1: output[0][0] = @0 */
-  casadi_copy(wr0, 120, res[0]);
-  /* #2: @1 = input[7][0] */
-  casadi_copy(arg[7], 6, w1);
-  /* #3: output[1][0] = @1 */
-  casadi_copy(w1, 6, res[1]);
-  /* #4: @2 = input[8][0] */
-  wr2 = arg[8] ? arg[8] : casadi_zeros;
-  /* #5: output[2][0] = @2 */
-  casadi_copy(wr2, 9, res[2]);
-  /* #6: @2 = input[9][0] */
-  wr2 = arg[9] ? arg[9] : casadi_zeros;
-  /* #7: output[3][0] = @2 */
-  casadi_copy(wr2, 9, res[3]);
-  /* #8: @2 = input[10][0] */
-  wr2 = arg[10] ? arg[10] : casadi_zeros;
-  /* #9: output[4][0] = @2 */
-  casadi_copy(wr2, 9, res[4]);
-  /* #10: @3 = input[11][0] */
-  wr3 = arg[11] ? arg[11] : casadi_zeros;
-  /* #11: output[5][0] = @3 */
-  casadi_copy(wr3, 12, res[5]);
-  /* #12: @4 = input[12][0] */
-  casadi_copy(arg[12], 4, w4);
-  /* #13: output[6][0] = @4 */
-  casadi_copy(w4, 4, res[6]);
-  return 0;
-}
-
-/* qp_steps_2:(i0[6],i1[21],i2[36],i3[6],i4[6],i5[6],i6[120],i7[6],i8[9],i9[9],i10[9],i11[12],i12[4])->(o0[120],o1[6],o2[9],o3[9],o4[9],o5[12],o6[4]) */
-static int casadi_f28(const casadi_real** arg, casadi_real** res, casadi_int* iw, casadi_real* w, int mem) {
-  casadi_real **res1=res+7, *rr, w00, *w01=w+258, *w04=w+264, *w05=w+270, *w06=w+276, *w07=w+282, *w08=w+402, *w09=w+408, *w10=w+417, *w11=w+426;
-  casadi_real *w12=w+435, *w13=w+447, *w14=w+451, *w15=w+571, *w16=w+577, *w17=w+586, *w18=w+595, *w19=w+604, *w20=w+616, w21;
-  const casadi_real **arg1=arg+13, *cs, *wr02, *wr03, *wr07, *wr09, *wr10, *wr11, *wr12;
-  /* #0: @0 = 0 */
-  w00 = 0.;
-  /* #1: @1 = input[0][0] */
-  casadi_copy(arg[0], 6, w01);
-  /* #2: @2 = input[1][0] */
-  wr02 = arg[1] ? arg[1] : casadi_zeros;
-  /* #3: @3 = input[2][0] */
-  wr03 = arg[2] ? arg[2] : casadi_zeros;
-  /* #4: @4 = input[3][0] */
-  casadi_copy(arg[3], 6, w04);
-  /* #5: @5 = input[4][0] */
-  casadi_copy(arg[4], 6, w05);
-  /* #6: @6 = input[5][0] */
-  casadi_copy(arg[5], 6, w06);
-  /* #7: @7 = input[6][0] */
-  wr07 = arg[6] ? arg[6] : casadi_zeros;
-  /* #8: @8 = input[7][0] */
-  casadi_copy(arg[7], 6, w08);
-  /* #9: @9 = input[8][0] */
-  wr09 = arg[8] ? arg[8] : casadi_zeros;
-  /* #10: @10 = input[9][0] */
-  wr10 = arg[9] ? arg[9] : casadi_zeros;
-  /* #11: @11 = input[10][0] */
-  wr11 = arg[10] ? arg[10] : casadi_zeros;
-  /* #12: @12 = input[11][0] */
-  wr12 = arg[11] ? arg[11] : casadi_zeros;
-  /* #13: @13 = input[12][0] */
-  casadi_copy(arg[12], 4, w13);
-  /* #14: {@14, @15, @16, @17, @18, @19, @20} = qp_step(@1, @2, @3, @4, @5, @6, @7, @8, @9, @10, @11, @12, @13) */
-  arg1[0]=w01;
-  arg1[1]=wr02;
-  arg1[2]=wr03;
-  arg1[3]=w04;
-  arg1[4]=w05;
-  arg1[5]=w06;
-  arg1[6]=wr07;
-  arg1[7]=w08;
-  arg1[8]=wr09;
-  arg1[9]=wr10;
-  arg1[10]=wr11;
-  arg1[11]=wr12;
-  arg1[12]=w13;
-  res1[0]=w14;
-  res1[1]=w15;
-  res1[2]=w16;
-  res1[3]=w17;
-  res1[4]=w18;
-  res1[5]=w19;
-  res1[6]=w20;
-  if (casadi_f10(arg1, res1, iw, w, 0)) return 1;
-  /* #15: @21 = @20[0] */
-  for (rr=(&w21), cs=w20+0; cs!=w20+1; cs+=1) *rr++ = *cs;
-  /* #16: @0 = (@0<=@21) */
-  w00  = (w00<=w21);
-  /* #17: {@7, @8, @9, @10, @11, @12, @13} = qp_steps_2_choice(@0, @1, @2, @3, @4, @5, @6, @14, @15, @16, @17, @18, @19, @20) */
-  arg1[0]=(&w00);
-  arg1[1]=w01;
-  arg1[2]=wr02;
-  arg1[3]=wr03;
-  arg1[4]=w04;
-  arg1[5]=w05;
-  arg1[6]=w06;
-  arg1[7]=w14;
-  arg1[8]=w15;
-  arg1[9]=w16;
-  arg1[10]=w17;
-  arg1[11]=w18;
-  arg1[12]=w19;
-  arg1[13]=w20;
-  res1[0]=w07;
-  res1[1]=w08;
-  res1[2]=w09;
-  res1[3]=w10;
-  res1[4]=w11;
-  res1[5]=w12;
-  res1[6]=w13;
-  if (casadi_f24(arg1, res1, iw, w, 0)) return 1;
-  /* #18: output[0][0] = @7 */
-  casadi_copy(w07, 120, res[0]);
-  /* #19: output[1][0] = @8 */
-  casadi_copy(w08, 6, res[1]);
-  /* #20: output[2][0] = @9 */
-  casadi_copy(w09, 9, res[2]);
-  /* #21: output[3][0] = @10 */
-  casadi_copy(w10, 9, res[3]);
-  /* #22: output[4][0] = @11 */
-  casadi_copy(w11, 9, res[4]);
-  /* #23: output[5][0] = @12 */
-  casadi_copy(w12, 12, res[5]);
-  /* #24: output[6][0] = @13 */
-  casadi_copy(w13, 4, res[6]);
-  return 0;
-}
-
-/* qp_steps_4_choice:(i0,i1[6],i2[21],i3[36],i4[6],i5[6],i6[6],i7[120],i8[6],i9[9],i10[9],i11[9],i12[12],i13[4])->(o0[120],o1[6],o2[9],o3[9],o4[9],o5[12],o6[4]) */
-static int casadi_f26(const casadi_real** arg, casadi_real** res, casadi_int* iw, casadi_real* w, int mem) {
-  if (arg[0] ? casadi_to_int(*arg[0]) : 0) {
-    if (casadi_f28(arg+1, res, iw, w, 0)) return 1;
-  } else {
-    if (casadi_f27(arg+1, res, iw, w, 0)) return 1;
-  }
-  return 0;
-}
-
-/* qp_same:(i0[6],i1[21],i2[36],i3[6],i4[6],i5[6],i6[120],i7[6],i8[9],i9[9],i10[9],i11[12],i12[4])->(o0[120],o1[6],o2[9],o3[9],o4[9],o5[12],o6[4]) */
-static int casadi_f30(const casadi_real** arg, casadi_real** res, casadi_int* iw, casadi_real* w, int mem) {
-  casadi_real *w1=w+0, *w4=w+6;
-  const casadi_real *wr0, *wr2, *wr3;
-  /* #0: @0 = input[6][0] */
-  wr0 = arg[6] ? arg[6] : casadi_zeros;
-  /* #1: output[0][0] = @0 */
-  casadi_copy(wr0, 120, res[0]);
-  /* #2: @1 = input[7][0] */
-  casadi_copy(arg[7], 6, w1);
-  /* #3: output[1][0] = @1 */
-  casadi_copy(w1, 6, res[1]);
-  /* #4: @2 = input[8][0] */
-  wr2 = arg[8] ? arg[8] : casadi_zeros;
-  /* #5: output[2][0] = @2 */
-  casadi_copy(wr2, 9, res[2]);
-  /* #6: @2 = input[9][0] */
-  wr2 = arg[9] ? arg[9] : casadi_zeros;
-  /* #7: output[3][0] = @2 */
-  casadi_copy(wr2, 9, res[3]);
-  /* #8: @2 = input[10][0] */
-  wr2 = arg[10] ? arg[10] : casadi_zeros;
-  /* #9: output[4][0] = @2 */
-  casadi_copy(wr2, 9, res[4]);
-  /* #10: @3 = input[11][0] */
-  wr3 = arg[11] ? arg[11] : casadi_zeros;
-  /* #11: output[5][0] = @3 */
-  casadi_copy(wr3, 12, res[5]);
-  /* #12: @4 = input[12][0] */
-  casadi_copy(arg[12], 4, w4);
-  /* #13: output[6][0] = @4 */
-  casadi_copy(w4, 4, res[6]);
-  return 0;
-}
-
-/* qp_steps_4:(i0[6],i1[21],i2[36],i3[6],i4[6],i5[6],i6[120],i7[6],i8[9],i9[9],i10[9],i11[12],i12[4])->(o0[120],o1[6],o2[9],o3[9],o4[9],o5[12],o6[4]) */
-static int casadi_f31(const casadi_real** arg, casadi_real** res, casadi_int* iw, casadi_real* w, int mem) {
-  casadi_real **res1=res+7, *rr, w00, w01, *w02=w+679, *w05=w+685, *w06=w+691, *w07=w+697, *w08=w+703, *w09=w+823, *w10=w+829, *w11=w+838;
-  casadi_real *w12=w+847, *w13=w+856, *w14=w+868, *w15=w+872, *w16=w+992, *w17=w+998, *w18=w+1007, *w19=w+1016, *w20=w+1025, *w21=w+1037, w22;
-  const casadi_real **arg1=arg+13, *cs, *wr03, *wr04, *wr08, *wr10, *wr11, *wr12, *wr13;
-  /* #0: @0 = 0 */
-  w00 = 0.;
-  /* #1: @1 = 0 */
-  w01 = 0.;
-  /* #2: @2 = input[0][0] */
-  casadi_copy(arg[0], 6, w02);
-  /* #3: @3 = input[1][0] */
-  wr03 = arg[1] ? arg[1] : casadi_zeros;
-  /* #4: @4 = input[2][0] */
-  wr04 = arg[2] ? arg[2] : casadi_zeros;
-  /* #5: @5 = input[3][0] */
-  casadi_copy(arg[3], 6, w05);
-  /* #6: @6 = input[4][0] */
-  casadi_copy(arg[4], 6, w06);
-  /* #7: @7 = input[5][0] */
-  casadi_copy(arg[5], 6, w07);
-  /* #8: @8 = input[6][0] */
-  wr08 = arg[6] ? arg[6] : casadi_zeros;
-  /* #9: @9 = input[7][0] */
-  casadi_copy(arg[7], 6, w09);
-  /* #10: @10 = input[8][0] */
-  wr10 = arg[8] ? arg[8] : casadi_zeros;
-  /* #11: @11 = input[9][0] */
-  wr11 = arg[9] ? arg[9] : casadi_zeros;
-  /* #12: @12 = input[10][0] */
-  wr12 = arg[10] ? arg[10] : casadi_zeros;
-  /* #13: @13 = input[11][0] */
-  wr13 = arg[11] ? arg[11] : casadi_zeros;
-  /* #14: @14 = input[12][0] */
-  casadi_copy(arg[12], 4, w14);
-  /* #15: {@15, @16, @17, @18, @19, @20, @21} = qp_step(@2, @3, @4, @5, @6, @7, @8, @9, @10, @11, @12, @13, @14) */
-  arg1[0]=w02;
-  arg1[1]=wr03;
-  arg1[2]=wr04;
-  arg1[3]=w05;
-  arg1[4]=w06;
-  arg1[5]=w07;
-  arg1[6]=wr08;
-  arg1[7]=w09;
-  arg1[8]=wr10;
-  arg1[9]=wr11;
-  arg1[10]=wr12;
-  arg1[11]=wr13;
-  arg1[12]=w14;
-  res1[0]=w15;
-  res1[1]=w16;
-  res1[2]=w17;
-  res1[3]=w18;
-  res1[4]=w19;
-  res1[5]=w20;
-  res1[6]=w21;
-  if (casadi_f10(arg1, res1, iw, w, 0)) return 1;
-  /* #16: @22 = @21[0] */
-  for (rr=(&w22), cs=w21+0; cs!=w21+1; cs+=1) *rr++ = *cs;
-  /* #17: @1 = (@1<=@22) */
-  w01  = (w01<=w22);
-  /* #18: {@8, @9, @10, @11, @12, @13, @14} = qp_steps_2_choice(@1, @2, @3, @4, @5, @6, @7, @15, @16, @17, @18, @19, @20, @21) */
-  arg1[0]=(&w01);
-  arg1[1]=w02;
-  arg1[2]=wr03;
-  arg1[3]=wr04;
-  arg1[4]=w05;
-  arg1[5]=w06;
-  arg1[6]=w07;
-  arg1[7]=w15;
-  arg1[8]=w16;
-  arg1[9]=w17;
-  arg1[10]=w18;
-  arg1[11]=w19;
-  arg1[12]=w20;
-  arg1[13]=w21;
-  res1[0]=w08;
-  res1[1]=w09;
-  res1[2]=w10;
-  res1[3]=w11;
-  res1[4]=w12;
-  res1[5]=w13;
-  res1[6]=w14;
-  if (casadi_f24(arg1, res1, iw, w, 0)) return 1;
-  /* #19: @1 = @14[0] */
-  for (rr=(&w01), cs=w14+0; cs!=w14+1; cs+=1) *rr++ = *cs;
-  /* #20: @0 = (@0<=@1) */
-  w00  = (w00<=w01);
-  /* #21: {@15, @16, @17, @18, @19, @20, @21} = qp_steps_4_choice(@0, @2, @3, @4, @5, @6, @7, @8, @9, @10, @11, @12, @13, @14) */
-  arg1[0]=(&w00);
-  arg1[1]=w02;
-  arg1[2]=wr03;
-  arg1[3]=wr04;
-  arg1[4]=w05;
-  arg1[5]=w06;
-  arg1[6]=w07;
-  arg1[7]=w08;
-  arg1[8]=w09;
-  arg1[9]=w10;
-  arg1[10]=w11;
-  arg1[11]=w12;
-  arg1[12]=w13;
-  arg1[13]=w14;
-  res1[0]=w15;
-  res1[1]=w16;
-  res1[2]=w17;
-  res1[3]=w18;
-  res1[4]=w19;
-  res1[5]=w20;
-  res1[6]=w21;
-  if (casadi_f26(arg1, res1, iw, w, 0)) return 1;
-  /* #22: output[0][0] = @15 */
-  casadi_copy(w15, 120, res[0]);
-  /* #23: output[1][0] = @16 */
-  casadi_copy(w16, 6, res[1]);
-  /* #24: output[2][0] = @17 */
-  casadi_copy(w17, 9, res[2]);
-  /* #25: output[3][0] = @18 */
-  casadi_copy(w18, 9, res[3]);
-  /* #26: output[4][0] = @19 */
-  casadi_copy(w19, 9, res[4]);
-  /* #27: output[5][0] = @20 */
-  casadi_copy(w20, 12, res[5]);
-  /* #28: output[6][0] = @21 */
-  casadi_copy(w21, 4, res[6]);
-  return 0;
-}
-
-/* qp_steps_8_choice:(i0,i1[6],i2[21],i3[36],i4[6],i5[6],i6[6],i7[120],i8[6],i9[9],i10[9],i11[9],i12[12],i13[4])->(o0[120],o1[6],o2[9],o3[9],o4[9],o5[12],o6[4]) */
-static int casadi_f29(const casadi_real** arg, casadi_real** res, casadi_int* iw, casadi_real* w, int mem) {
-  if (arg[0] ? casadi_to_int(*arg[0]) : 0) {
-    if (casadi_f31(arg+1, res, iw, w, 0)) return 1;
-  } else {
-    if (casadi_f30(arg+1, res, iw, w, 0)) return 1;
-  }
-  return 0;
-}
-
-/* qp_same:(i0[6],i1[21],i2[36],i3[6],i4[6],i5[6],i6[120],i7[6],i8[9],i9[9],i10[9],i11[12],i12[4])->(o0[120],o1[6],o2[9],o3[9],o4[9],o5[12],o6[4]) */
-static int casadi_f33(const casadi_real** arg, casadi_real** res, casadi_int* iw, casadi_real* w, int mem) {
-  casadi_real *w1=w+0, *w4=w+6;
-  const casadi_real *wr0, *wr2, *wr3;
-  /* #0: @0 = input[6][0] */
-  wr0 = arg[6] ? arg[6] : casadi_zeros;
-  /* #1: output[0][0] = @0 */
-  casadi_copy(wr0, 120, res[0]);
-  /* #2: @1 = input[7][0] */
-  casadi_copy(arg[7], 6, w1);
-  /* #3: output[1][0] = @1 */
-  casadi_copy(w1, 6, res[1]);
-  /* #4: @2 = input[8][0] */
-  wr2 = arg[8] ? arg[8] : casadi_zeros;
-  /* #5: output[2][0] = @2 */
-  casadi_copy(wr2, 9, res[2]);
-  /* #6: @2 = input[9][0] */
-  wr2 = arg[9] ? arg[9] : casadi_zeros;
-  /* #7: output[3][0] = @2 */
-  casadi_copy(wr2, 9, res[3]);
-  /* #8: @2 = input[10][0] */
-  wr2 = arg[10] ? arg[10] : casadi_zeros;
-  /* #9: output[4][0] = @2 */
-  casadi_copy(wr2, 9, res[4]);
-  /* #10: @3 = input[11][0] */
-  wr3 = arg[11] ? arg[11] : casadi_zeros;
-  /* #11: output[5][0] = @3 */
-  casadi_copy(wr3, 12, res[5]);
-  /* #12: @4 = input[12][0] */
-  casadi_copy(arg[12], 4, w4);
-  /* #13: output[6][0] = @4 */
-  casadi_copy(w4, 4, res[6]);
-  return 0;
-}
-
-/* qp_steps_8:(i0[6],i1[21],i2[36],i3[6],i4[6],i5[6],i6[120],i7[6],i8[9],i9[9],i10[9],i11[12],i12[4])->(o0[120],o1[6],o2[9],o3[9],o4[9],o5[12],o6[4]) */
-static int casadi_f34(const casadi_real** arg, casadi_real** res, casadi_int* iw, casadi_real* w, int mem) {
-  casadi_real **res1=res+7, *rr, w00, w01, w02, *w03=w+1101, *w06=w+1107, *w07=w+1113, *w08=w+1119, *w09=w+1125, *w10=w+1245, *w11=w+1251;
-  casadi_real *w12=w+1260, *w13=w+1269, *w14=w+1278, *w15=w+1290, *w16=w+1294, *w17=w+1414, *w18=w+1420, *w19=w+1429, *w20=w+1438, *w21=w+1447, *w22=w+1459, w23;
-  const casadi_real **arg1=arg+13, *cs, *wr04, *wr05, *wr09, *wr11, *wr12, *wr13, *wr14;
-  /* #0: @0 = 0 */
-  w00 = 0.;
-  /* #1: @1 = 0 */
-  w01 = 0.;
-  /* #2: @2 = 0 */
-  w02 = 0.;
-  /* #3: @3 = input[0][0] */
-  casadi_copy(arg[0], 6, w03);
-  /* #4: @4 = input[1][0] */
-  wr04 = arg[1] ? arg[1] : casadi_zeros;
-  /* #5: @5 = input[2][0] */
-  wr05 = arg[2] ? arg[2] : casadi_zeros;
-  /* #6: @6 = input[3][0] */
-  casadi_copy(arg[3], 6, w06);
-  /* #7: @7 = input[4][0] */
-  casadi_copy(arg[4], 6, w07);
-  /* #8: @8 = input[5][0] */
-  casadi_copy(arg[5], 6, w08);
-  /* #9: @9 = input[6][0] */
-  wr09 = arg[6] ? arg[6] : casadi_zeros;
-  /* #10: @10 = input[7][0] */
-  casadi_copy(arg[7], 6, w10);
-  /* #11: @11 = input[8][0] */
-  wr11 = arg[8] ? arg[8] : casadi_zeros;
-  /* #12: @12 = input[9][0] */
-  wr12 = arg[9] ? arg[9] : casadi_zeros;
-  /* #13: @13 = input[10][0] */
-  wr13 = arg[10] ? arg[10] : casadi_zeros;
-  /* #14: @14 = input[11][0] */
-  wr14 = arg[11] ? arg[11] : casadi_zeros;
-  /* #15: @15 = input[12][0] */
-  casadi_copy(arg[12], 4, w15);
-  /* #16: {@16, @17, @18, @19, @20, @21, @22} = qp_step(@3, @4, @5, @6, @7, @8, @9, @10, @11, @12, @13, @14, @15) */
-  arg1[0]=w03;
-  arg1[1]=wr04;
-  arg1[2]=wr05;
-  arg1[3]=w06;
-  arg1[4]=w07;
-  arg1[5]=w08;
-  arg1[6]=wr09;
-  arg1[7]=w10;
-  arg1[8]=wr11;
-  arg1[9]=wr12;
-  arg1[10]=wr13;
-  arg1[11]=wr14;
-  arg1[12]=w15;
-  res1[0]=w16;
-  res1[1]=w17;
-  res1[2]=w18;
-  res1[3]=w19;
-  res1[4]=w20;
-  res1[5]=w21;
-  res1[6]=w22;
-  if (casadi_f10(arg1, res1, iw, w, 0)) return 1;
-  /* #17: @23 = @22[0] */
-  for (rr=(&w23), cs=w22+0; cs!=w22+1; cs+=1) *rr++ = *cs;
-  /* #18: @2 = (@2<=@23) */
-  w02  = (w02<=w23);
-  /* #19: {@9, @10, @11, @12, @13, @14, @15} = qp_steps_2_choice(@2, @3, @4, @5, @6, @7, @8, @16, @17, @18, @19, @20, @21, @22) */
-  arg1[0]=(&w02);
-  arg1[1]=w03;
-  arg1[2]=wr04;
-  arg1[3]=wr05;
-  arg1[4]=w06;
-  arg1[5]=w07;
-  arg1[6]=w08;
-  arg1[7]=w16;
-  arg1[8]=w17;
-  arg1[9]=w18;
-  arg1[10]=w19;
-  arg1[11]=w20;
-  arg1[12]=w21;
-  arg1[13]=w22;
-  res1[0]=w09;
-  res1[1]=w10;
-  res1[2]=w11;
-  res1[3]=w12;
-  res1[4]=w13;
-  res1[5]=w14;
-  res1[6]=w15;
-  if (casadi_f24(arg1, res1, iw, w, 0)) return 1;
-  /* #20: @2 = @15[0] */
-  for (rr=(&w02), cs=w15+0; cs!=w15+1; cs+=1) *rr++ = *cs;
-  /* #21: @1 = (@1<=@2) */
-  w01  = (w01<=w02);
-  /* #22: {@16, @17, @18, @19, @20, @21, @22} = qp_steps_4_choice(@1, @3, @4, @5, @6, @7, @8, @9, @10, @11, @12, @13, @14, @15) */
-  arg1[0]=(&w01);
-  arg1[1]=w03;
-  arg1[2]=wr04;
-  arg1[3]=wr05;
-  arg1[4]=w06;
-  arg1[5]=w07;
-  arg1[6]=w08;
-  arg1[7]=w09;
-  arg1[8]=w10;
-  arg1[9]=w11;
-  arg1[10]=w12;
-  arg1[11]=w13;
-  arg1[12]=w14;
-  arg1[13]=w15;
-  res1[0]=w16;
-  res1[1]=w17;
-  res1[2]=w18;
-  res1[3]=w19;
-  res1[4]=w20;
-  res1[5]=w21;
-  res1[6]=w22;
-  if (casadi_f26(arg1, res1, iw, w, 0)) return 1;
-  /* #23: @1 = @22[0] */
-  for (rr=(&w01), cs=w22+0; cs!=w22+1; cs+=1) *rr++ = *cs;
-  /* #24: @0 = (@0<=@1) */
-  w00  = (w00<=w01);
-  /* #25: {@9, @10, @11, @12, @13, @14, @15} = qp_steps_8_choice(@0, @3, @4, @5, @6, @7, @8, @16, @17, @18, @19, @20, @21, @22) */
-  arg1[0]=(&w00);
-  arg1[1]=w03;
-  arg1[2]=wr04;
-  arg1[3]=wr05;
-  arg1[4]=w06;
-  arg1[5]=w07;
-  arg1[6]=w08;
-  arg1[7]=w16;
-  arg1[8]=w17;
-  arg1[9]=w18;
-  arg1[10]=w19;
-  arg1[11]=w20;
-  arg1[12]=w21;
-  arg1[13]=w22;
-  res1[0]=w09;
-  res1[1]=w10;
-  res1[2]=w11;
-  res1[3]=w12;
-  res1[4]=w13;
-  res1[5]=w14;
-  res1[6]=w15;
-  if (casadi_f29(arg1, res1, iw, w, 0)) return 1;
-  /* #26: output[0][0] = @9 */
-  casadi_copy(w09, 120, res[0]);
-  /* #27: output[1][0] = @10 */
-  casadi_copy(w10, 6, res[1]);
-  /* #28: output[2][0] = @11 */
-  casadi_copy(w11, 9, res[2]);
-  /* #29: output[3][0] = @12 */
-  casadi_copy(w12, 9, res[3]);
-  /* #30: output[4][0] = @13 */
-  casadi_copy(w13, 9, res[4]);
-  /* #31: output[5][0] = @14 */
-  casadi_copy(w14, 12, res[5]);
-  /* #32: output[6][0] = @15 */
-  casadi_copy(w15, 4, res[6]);
-  return 0;
-}
-
-/* qp_steps_16_choice:(i0,i1[6],i2[21],i3[36],i4[6],i5[6],i6[6],i7[120],i8[6],i9[9],i10[9],i11[9],i12[12],i13[4])->(o0[120],o1[6],o2[9],o3[9],o4[9],o5[12],o6[4]) */
-static int casadi_f32(const casadi_real** arg, casadi_real** res, casadi_int* iw, casadi_real* w, int mem) {
-  if (arg[0] ? casadi_to_int(*arg[0]) : 0) {
-    if (casadi_f34(arg+1, res, iw, w, 0)) return 1;
-  } else {
-    if (casadi_f33(arg+1, res, iw, w, 0)) return 1;
-  }
-  return 0;
-}
-
-/* qp_same:(i0[6],i1[21],i2[36],i3[6],i4[6],i5[6],i6[120],i7[6],i8[9],i9[9],i10[9],i11[12],i12[4])->(o0[120],o1[6],o2[9],o3[9],o4[9],o5[12],o6[4]) */
-static int casadi_f36(const casadi_real** arg, casadi_real** res, casadi_int* iw, casadi_real* w, int mem) {
-  casadi_real *w1=w+0, *w4=w+6;
-  const casadi_real *wr0, *wr2, *wr3;
-  /* #0: @0 = input[6][0] */
-  wr0 = arg[6] ? arg[6] : casadi_zeros;
-  /* #1: output[0][0] = @0 */
-  casadi_copy(wr0, 120, res[0]);
-  /* #2: @1 = input[7][0] */
-  casadi_copy(arg[7], 6, w1);
-  /* #3: output[1][0] = @1 */
-  casadi_copy(w1, 6, res[1]);
-  /* #4: @2 = input[8][0] */
-  wr2 = arg[8] ? arg[8] : casadi_zeros;
-  /* #5: output[2][0] = @2 */
-  casadi_copy(wr2, 9, res[2]);
-  /* #6: @2 = input[9][0] */
-  wr2 = arg[9] ? arg[9] : casadi_zeros;
-  /* #7: output[3][0] = @2 */
-  casadi_copy(wr2, 9, res[3]);
-  /* #8: @2 = input[10][0] */
-  wr2 = arg[10] ? arg[10] : casadi_zeros;
-  /* #9: output[4][0] = @2 */
-  casadi_copy(wr2, 9, res[4]);
-  /* #10: @3 = input[11][0] */
-  wr3 = arg[11] ? arg[11] : casadi_zeros;
-  /* #11: output[5][0] = @3 */
-  casadi_copy(wr3, 12, res[5]);
-  /* #12: @4 = input[12][0] */
-  casadi_copy(arg[12], 4, w4);
-  /* #13: output[6][0] = @4 */
-  casadi_copy(w4, 4, res[6]);
-  return 0;
-}
-
-/* qp_steps_16:(i0[6],i1[21],i2[36],i3[6],i4[6],i5[6],i6[120],i7[6],i8[9],i9[9],i10[9],i11[12],i12[4])->(o0[120],o1[6],o2[9],o3[9],o4[9],o5[12],o6[4]) */
-static int casadi_f37(const casadi_real** arg, casadi_real** res, casadi_int* iw, casadi_real* w, int mem) {
-  casadi_real **res1=res+7, *rr, w00, w01, w02, w03, *w04=w+1524, *w07=w+1530, *w08=w+1536, *w09=w+1542, *w10=w+1548, *w11=w+1668;
-  casadi_real *w12=w+1674, *w13=w+1683, *w14=w+1692, *w15=w+1701, *w16=w+1713, *w17=w+1717, *w18=w+1837, *w19=w+1843, *w20=w+1852, *w21=w+1861, *w22=w+1870, *w23=w+1882;
-  casadi_real w24;
-  const casadi_real **arg1=arg+13, *cs, *wr05, *wr06, *wr10, *wr12, *wr13, *wr14, *wr15;
-  /* #0: @0 = 0 */
-  w00 = 0.;
-  /* #1: @1 = 0 */
-  w01 = 0.;
-  /* #2: @2 = 0 */
-  w02 = 0.;
-  /* #3: @3 = 0 */
-  w03 = 0.;
-  /* #4: @4 = input[0][0] */
-  casadi_copy(arg[0], 6, w04);
-  /* #5: @5 = input[1][0] */
-  wr05 = arg[1] ? arg[1] : casadi_zeros;
-  /* #6: @6 = input[2][0] */
-  wr06 = arg[2] ? arg[2] : casadi_zeros;
-  /* #7: @7 = input[3][0] */
-  casadi_copy(arg[3], 6, w07);
-  /* #8: @8 = input[4][0] */
-  casadi_copy(arg[4], 6, w08);
-  /* #9: @9 = input[5][0] */
-  casadi_copy(arg[5], 6, w09);
-  /* #10: @10 = input[6][0] */
-  wr10 = arg[6] ? arg[6] : casadi_zeros;
-  /* #11: @11 = input[7][0] */
-  casadi_copy(arg[7], 6, w11);
-  /* #12: @12 = input[8][0] */
-  wr12 = arg[8] ? arg[8] : casadi_zeros;
-  /* #13: @13 = input[9][0] */
-  wr13 = arg[9] ? arg[9] : casadi_zeros;
-  /* #14: @14 = input[10][0] */
-  wr14 = arg[10] ? arg[10] : casadi_zeros;
-  /* #15: @15 = input[11][0] */
-  wr15 = arg[11] ? arg[11] : casadi_zeros;
-  /* #16: @16 = input[12][0] */
-  casadi_copy(arg[12], 4, w16);
-  /* #17: {@17, @18, @19, @20, @21, @22, @23} = qp_step(@4, @5, @6, @7, @8, @9, @10, @11, @12, @13, @14, @15, @16) */
-  arg1[0]=w04;
-  arg1[1]=wr05;
-  arg1[2]=wr06;
-  arg1[3]=w07;
-  arg1[4]=w08;
-  arg1[5]=w09;
-  arg1[6]=wr10;
-  arg1[7]=w11;
-  arg1[8]=wr12;
-  arg1[9]=wr13;
-  arg1[10]=wr14;
-  arg1[11]=wr15;
-  arg1[12]=w16;
-  res1[0]=w17;
-  res1[1]=w18;
-  res1[2]=w19;
-  res1[3]=w20;
-  res1[4]=w21;
-  res1[5]=w22;
-  res1[6]=w23;
-  if (casadi_f10(arg1, res1, iw, w, 0)) return 1;
-  /* #18: @24 = @23[0] */
-  for (rr=(&w24), cs=w23+0; cs!=w23+1; cs+=1) *rr++ = *cs;
-  /* #19: @3 = (@3<=@24) */
-  w03  = (w03<=w24);
-  /* #20: {@10, @11, @12, @13, @14, @15, @16} = qp_steps_2_choice(@3, @4, @5, @6, @7, @8, @9, @17, @18, @19, @20, @21, @22, @23) */
-  arg1[0]=(&w03);
-  arg1[1]=w04;
-  arg1[2]=wr05;
-  arg1[3]=wr06;
-  arg1[4]=w07;
-  arg1[5]=w08;
-  arg1[6]=w09;
-  arg1[7]=w17;
-  arg1[8]=w18;
-  arg1[9]=w19;
-  arg1[10]=w20;
-  arg1[11]=w21;
-  arg1[12]=w22;
-  arg1[13]=w23;
-  res1[0]=w10;
-  res1[1]=w11;
-  res1[2]=w12;
-  res1[3]=w13;
-  res1[4]=w14;
-  res1[5]=w15;
-  res1[6]=w16;
-  if (casadi_f24(arg1, res1, iw, w, 0)) return 1;
-  /* #21: @3 = @16[0] */
-  for (rr=(&w03), cs=w16+0; cs!=w16+1; cs+=1) *rr++ = *cs;
-  /* #22: @2 = (@2<=@3) */
-  w02  = (w02<=w03);
-  /* #23: {@17, @18, @19, @20, @21, @22, @23} = qp_steps_4_choice(@2, @4, @5, @6, @7, @8, @9, @10, @11, @12, @13, @14, @15, @16) */
-  arg1[0]=(&w02);
-  arg1[1]=w04;
-  arg1[2]=wr05;
-  arg1[3]=wr06;
-  arg1[4]=w07;
-  arg1[5]=w08;
-  arg1[6]=w09;
-  arg1[7]=w10;
-  arg1[8]=w11;
-  arg1[9]=w12;
-  arg1[10]=w13;
-  arg1[11]=w14;
-  arg1[12]=w15;
-  arg1[13]=w16;
-  res1[0]=w17;
-  res1[1]=w18;
-  res1[2]=w19;
-  res1[3]=w20;
-  res1[4]=w21;
-  res1[5]=w22;
-  res1[6]=w23;
-  if (casadi_f26(arg1, res1, iw, w, 0)) return 1;
-  /* #24: @2 = @23[0] */
-  for (rr=(&w02), cs=w23+0; cs!=w23+1; cs+=1) *rr++ = *cs;
-  /* #25: @1 = (@1<=@2) */
-  w01  = (w01<=w02);
-  /* #26: {@10, @11, @12, @13, @14, @15, @16} = qp_steps_8_choice(@1, @4, @5, @6, @7, @8, @9, @17, @18, @19, @20, @21, @22, @23) */
-  arg1[0]=(&w01);
-  arg1[1]=w04;
-  arg1[2]=wr05;
-  arg1[3]=wr06;
-  arg1[4]=w07;
-  arg1[5]=w08;
-  arg1[6]=w09;
-  arg1[7]=w17;
-  arg1[8]=w18;
-  arg1[9]=w19;
-  arg1[10]=w20;
-  arg1[11]=w21;
-  arg1[12]=w22;
-  arg1[13]=w23;
-  res1[0]=w10;
-  res1[1]=w11;
-  res1[2]=w12;
-  res1[3]=w13;
-  res1[4]=w14;
-  res1[5]=w15;
-  res1[6]=w16;
-  if (casadi_f29(arg1, res1, iw, w, 0)) return 1;
-  /* #27: @1 = @16[0] */
-  for (rr=(&w01), cs=w16+0; cs!=w16+1; cs+=1) *rr++ = *cs;
-  /* #28: @0 = (@0<=@1) */
-  w00  = (w00<=w01);
-  /* #29: {@17, @18, @19, @20, @21, @22, @23} = qp_steps_16_choice(@0, @4, @5, @6, @7, @8, @9, @10, @11, @12, @13, @14, @15, @16) */
-  arg1[0]=(&w00);
-  arg1[1]=w04;
-  arg1[2]=wr05;
-  arg1[3]=wr06;
-  arg1[4]=w07;
-  arg1[5]=w08;
-  arg1[6]=w09;
-  arg1[7]=w10;
-  arg1[8]=w11;
-  arg1[9]=w12;
-  arg1[10]=w13;
-  arg1[11]=w14;
-  arg1[12]=w15;
-  arg1[13]=w16;
-  res1[0]=w17;
-  res1[1]=w18;
-  res1[2]=w19;
-  res1[3]=w20;
-  res1[4]=w21;
-  res1[5]=w22;
-  res1[6]=w23;
-  if (casadi_f32(arg1, res1, iw, w, 0)) return 1;
-  /* #30: output[0][0] = @17 */
-  casadi_copy(w17, 120, res[0]);
-  /* #31: output[1][0] = @18 */
-  casadi_copy(w18, 6, res[1]);
-  /* #32: output[2][0] = @19 */
-  casadi_copy(w19, 9, res[2]);
-  /* #33: output[3][0] = @20 */
-  casadi_copy(w20, 9, res[3]);
-  /* #34: output[4][0] = @21 */
-  casadi_copy(w21, 9, res[4]);
-  /* #35: output[5][0] = @22 */
-  casadi_copy(w22, 12, res[5]);
-  /* #36: output[6][0] = @23 */
-  casadi_copy(w23, 4, res[6]);
-  return 0;
-}
-
-/* qp_steps_32_choice:(i0,i1[6],i2[21],i3[36],i4[6],i5[6],i6[6],i7[120],i8[6],i9[9],i10[9],i11[9],i12[12],i13[4])->(o0[120],o1[6],o2[9],o3[9],o4[9],o5[12],o6[4]) */
-static int casadi_f35(const casadi_real** arg, casadi_real** res, casadi_int* iw, casadi_real* w, int mem) {
-  if (arg[0] ? casadi_to_int(*arg[0]) : 0) {
-    if (casadi_f37(arg+1, res, iw, w, 0)) return 1;
-  } else {
-    if (casadi_f36(arg+1, res, iw, w, 0)) return 1;
-  }
-  return 0;
-}
-
-/* qp_same:(i0[6],i1[21],i2[36],i3[6],i4[6],i5[6],i6[120],i7[6],i8[9],i9[9],i10[9],i11[12],i12[4])->(o0[120],o1[6],o2[9],o3[9],o4[9],o5[12],o6[4]) */
-static int casadi_f39(const casadi_real** arg, casadi_real** res, casadi_int* iw, casadi_real* w, int mem) {
-  casadi_real *w1=w+0, *w4=w+6;
-  const casadi_real *wr0, *wr2, *wr3;
-  /* #0: @0 = input[6][0] */
-  wr0 = arg[6] ? arg[6] : casadi_zeros;
-  /* #1: output[0][0] = @0 */
-  casadi_copy(wr0, 120, res[0]);
-  /* #2: @1 = input[7][0] */
-  casadi_copy(arg[7], 6, w1);
-  /* #3: output[1][0] = @1 */
-  casadi_copy(w1, 6, res[1]);
-  /* #4: @2 = input[8][0] */
-  wr2 = arg[8] ? arg[8] : casadi_zeros;
-  /* #5: output[2][0] = @2 */
-  casadi_copy(wr2, 9, res[2]);
-  /* #6: @2 = input[9][0] */
-  wr2 = arg[9] ? arg[9] : casadi_zeros;
-  /* #7: output[3][0] = @2 */
-  casadi_copy(wr2, 9, res[3]);
-  /* #8: @2 = input[10][0] */
-  wr2 = arg[10] ? arg[10] : casadi_zeros;
-  /* #9: output[4][0] = @2 */
-  casadi_copy(wr2, 9, res[4]);
-  /* #10: @3 = input[11][0] */
-  wr3 = arg[11] ? arg[11] : casadi_zeros;
-  /* #11: output[5][0] = @3 */
-  casadi_copy(wr3, 12, res[5]);
-  /* #12: @4 = input[12][0] */
-  casadi_copy(arg[12], 4, w4);
-  /* #13: output[6][0] = @4 */
-  casadi_copy(w4, 4, res[6]);
-  return 0;
-}
-
-/* qp_steps_32:(i0[6],i1[21],i2[36],i3[6],i4[6],i5[6],i6[120],i7[6],i8[9],i9[9],i10[9],i11[12],i12[4])->(o0[120],o1[6],o2[9],o3[9],o4[9],o5[12],o6[4]) */
-static int casadi_f40(const casadi_real** arg, casadi_real** res, casadi_int* iw, casadi_real* w, int mem) {
-  casadi_real **res1=res+7, *rr, w00, w01, w02, w03, w04, *w05=w+1948, *w08=w+1954, *w09=w+1960, *w10=w+1966, *w11=w+1972;
-  casadi_real *w12=w+2092, *w13=w+2098, *w14=w+2107, *w15=w+2116, *w16=w+2125, *w17=w+2137, *w18=w+2141, *w19=w+2261, *w20=w+2267, *w21=w+2276, *w22=w+2285, *w23=w+2294;
-  casadi_real *w24=w+2306, w25;
-  const casadi_real **arg1=arg+13, *cs, *wr06, *wr07, *wr11, *wr13, *wr14, *wr15, *wr16;
-  /* #0: @0 = 0 */
-  w00 = 0.;
-  /* #1: @1 = 0 */
-  w01 = 0.;
-  /* #2: @2 = 0 */
-  w02 = 0.;
-  /* #3: @3 = 0 */
-  w03 = 0.;
-  /* #4: @4 = 0 */
-  w04 = 0.;
-  /* #5: @5 = input[0][0] */
-  casadi_copy(arg[0], 6, w05);
-  /* #6: @6 = input[1][0] */
-  wr06 = arg[1] ? arg[1] : casadi_zeros;
-  /* #7: @7 = input[2][0] */
-  wr07 = arg[2] ? arg[2] : casadi_zeros;
-  /* #8: @8 = input[3][0] */
-  casadi_copy(arg[3], 6, w08);
-  /* #9: @9 = input[4][0] */
-  casadi_copy(arg[4], 6, w09);
-  /* #10: @10 = input[5][0] */
-  casadi_copy(arg[5], 6, w10);
-  /* #11: @11 = input[6][0] */
-  wr11 = arg[6] ? arg[6] : casadi_zeros;
-  /* #12: @12 = input[7][0] */
-  casadi_copy(arg[7], 6, w12);
-  /* #13: @13 = input[8][0] */
-  wr13 = arg[8] ? arg[8] : casadi_zeros;
-  /* #14: @14 = input[9][0] */
-  wr14 = arg[9] ? arg[9] : casadi_zeros;
-  /* #15: @15 = input[10][0] */
-  wr15 = arg[10] ? arg[10] : casadi_zeros;
-  /* #16: @16 = input[11][0] */
-  wr16 = arg[11] ? arg[11] : casadi_zeros;
-  /* #17: @17 = input[12][0] */
-  casadi_copy(arg[12], 4, w17);
-  /* #18: {@18, @19, @20, @21, @22, @23, @24} = qp_step(@5, @6, @7, @8, @9, @10, @11, @12, @13, @14, @15, @16, @17) */
-  arg1[0]=w05;
-  arg1[1]=wr06;
-  arg1[2]=wr07;
-  arg1[3]=w08;
-  arg1[4]=w09;
-  arg1[5]=w10;
-  arg1[6]=wr11;
-  arg1[7]=w12;
-  arg1[8]=wr13;
-  arg1[9]=wr14;
-  arg1[10]=wr15;
-  arg1[11]=wr16;
-  arg1[12]=w17;
-  res1[0]=w18;
-  res1[1]=w19;
-  res1[2]=w20;
-  res1[3]=w21;
-  res1[4]=w22;
-  res1[5]=w23;
-  res1[6]=w24;
-  if (casadi_f10(arg1, res1, iw, w, 0)) return 1;
-  /* #19: @25 = @24[0] */
-  for (rr=(&w25), cs=w24+0; cs!=w24+1; cs+=1) *rr++ = *cs;
-  /* #20: @4 = (@4<=@25) */
-  w04  = (w04<=w25);
-  /* #21: {@11, @12, @13, @14, @15, @16, @17} = qp_steps_2_choice(@4, @5, @6, @7, @8, @9, @10, @18, @19, @20, @21, @22, @23, @24) */
-  arg1[0]=(&w04);
-  arg1[1]=w05;
-  arg1[2]=wr06;
-  arg1[3]=wr07;
-  arg1[4]=w08;
-  arg1[5]=w09;
-  arg1[6]=w10;
-  arg1[7]=w18;
-  arg1[8]=w19;
-  arg1[9]=w20;
-  arg1[10]=w21;
-  arg1[11]=w22;
-  arg1[12]=w23;
-  arg1[13]=w24;
-  res1[0]=w11;
-  res1[1]=w12;
-  res1[2]=w13;
-  res1[3]=w14;
-  res1[4]=w15;
-  res1[5]=w16;
-  res1[6]=w17;
-  if (casadi_f24(arg1, res1, iw, w, 0)) return 1;
-  /* #22: @4 = @17[0] */
-  for (rr=(&w04), cs=w17+0; cs!=w17+1; cs+=1) *rr++ = *cs;
-  /* #23: @3 = (@3<=@4) */
-  w03  = (w03<=w04);
-  /* #24: {@18, @19, @20, @21, @22, @23, @24} = qp_steps_4_choice(@3, @5, @6, @7, @8, @9, @10, @11, @12, @13, @14, @15, @16, @17) */
-  arg1[0]=(&w03);
-  arg1[1]=w05;
-  arg1[2]=wr06;
-  arg1[3]=wr07;
-  arg1[4]=w08;
-  arg1[5]=w09;
-  arg1[6]=w10;
-  arg1[7]=w11;
-  arg1[8]=w12;
-  arg1[9]=w13;
-  arg1[10]=w14;
-  arg1[11]=w15;
-  arg1[12]=w16;
-  arg1[13]=w17;
-  res1[0]=w18;
-  res1[1]=w19;
-  res1[2]=w20;
-  res1[3]=w21;
-  res1[4]=w22;
-  res1[5]=w23;
-  res1[6]=w24;
-  if (casadi_f26(arg1, res1, iw, w, 0)) return 1;
-  /* #25: @3 = @24[0] */
-  for (rr=(&w03), cs=w24+0; cs!=w24+1; cs+=1) *rr++ = *cs;
-  /* #26: @2 = (@2<=@3) */
-  w02  = (w02<=w03);
-  /* #27: {@11, @12, @13, @14, @15, @16, @17} = qp_steps_8_choice(@2, @5, @6, @7, @8, @9, @10, @18, @19, @20, @21, @22, @23, @24) */
-  arg1[0]=(&w02);
-  arg1[1]=w05;
-  arg1[2]=wr06;
-  arg1[3]=wr07;
-  arg1[4]=w08;
-  arg1[5]=w09;
-  arg1[6]=w10;
-  arg1[7]=w18;
-  arg1[8]=w19;
-  arg1[9]=w20;
-  arg1[10]=w21;
-  arg1[11]=w22;
-  arg1[12]=w23;
-  arg1[13]=w24;
-  res1[0]=w11;
-  res1[1]=w12;
-  res1[2]=w13;
-  res1[3]=w14;
-  res1[4]=w15;
-  res1[5]=w16;
-  res1[6]=w17;
-  if (casadi_f29(arg1, res1, iw, w, 0)) return 1;
-  /* #28: @2 = @17[0] */
-  for (rr=(&w02), cs=w17+0; cs!=w17+1; cs+=1) *rr++ = *cs;
-  /* #29: @1 = (@1<=@2) */
-  w01  = (w01<=w02);
-  /* #30: {@18, @19, @20, @21, @22, @23, @24} = qp_steps_16_choice(@1, @5, @6, @7, @8, @9, @10, @11, @12, @13, @14, @15, @16, @17) */
-  arg1[0]=(&w01);
-  arg1[1]=w05;
-  arg1[2]=wr06;
-  arg1[3]=wr07;
-  arg1[4]=w08;
-  arg1[5]=w09;
-  arg1[6]=w10;
-  arg1[7]=w11;
-  arg1[8]=w12;
-  arg1[9]=w13;
-  arg1[10]=w14;
-  arg1[11]=w15;
-  arg1[12]=w16;
-  arg1[13]=w17;
-  res1[0]=w18;
-  res1[1]=w19;
-  res1[2]=w20;
-  res1[3]=w21;
-  res1[4]=w22;
-  res1[5]=w23;
-  res1[6]=w24;
-  if (casadi_f32(arg1, res1, iw, w, 0)) return 1;
-  /* #31: @1 = @24[0] */
-  for (rr=(&w01), cs=w24+0; cs!=w24+1; cs+=1) *rr++ = *cs;
-  /* #32: @0 = (@0<=@1) */
-  w00  = (w00<=w01);
-  /* #33: {@11, @12, @13, @14, @15, @16, @17} = qp_steps_32_choice(@0, @5, @6, @7, @8, @9, @10, @18, @19, @20, @21, @22, @23, @24) */
-  arg1[0]=(&w00);
-  arg1[1]=w05;
-  arg1[2]=wr06;
-  arg1[3]=wr07;
-  arg1[4]=w08;
-  arg1[5]=w09;
-  arg1[6]=w10;
-  arg1[7]=w18;
-  arg1[8]=w19;
-  arg1[9]=w20;
-  arg1[10]=w21;
-  arg1[11]=w22;
-  arg1[12]=w23;
-  arg1[13]=w24;
-  res1[0]=w11;
-  res1[1]=w12;
-  res1[2]=w13;
-  res1[3]=w14;
-  res1[4]=w15;
-  res1[5]=w16;
-  res1[6]=w17;
-  if (casadi_f35(arg1, res1, iw, w, 0)) return 1;
-  /* #34: output[0][0] = @11 */
-  casadi_copy(w11, 120, res[0]);
-  /* #35: output[1][0] = @12 */
-  casadi_copy(w12, 6, res[1]);
-  /* #36: output[2][0] = @13 */
-  casadi_copy(w13, 9, res[2]);
-  /* #37: output[3][0] = @14 */
-  casadi_copy(w14, 9, res[3]);
-  /* #38: output[4][0] = @15 */
-  casadi_copy(w15, 9, res[4]);
-  /* #39: output[5][0] = @16 */
-  casadi_copy(w16, 12, res[5]);
-  /* #40: output[6][0] = @17 */
-  casadi_copy(w17, 4, res[6]);
-  return 0;
-}
-
-/* qp_steps_64_choice:(i0,i1[6],i2[21],i3[36],i4[6],i5[6],i6[6],i7[120],i8[6],i9[9],i10[9],i11[9],i12[12],i13[4])->(o0[120],o1[6],o2[9],o3[9],o4[9],o5[12],o6[4]) */
-static int casadi_f38(const casadi_real** arg, casadi_real** res, casadi_int* iw, casadi_real* w, int mem) {
-  if (arg[0] ? casadi_to_int(*arg[0]) : 0) {
-    if (casadi_f40(arg+1, res, iw, w, 0)) return 1;
-  } else {
-    if (casadi_f39(arg+1, res, iw, w, 0)) return 1;
-  }
-  return 0;
-}
-
-/* qp_rest:(i0[6],i1[21],i2[36],i3[6],i4[6],i5[6],i6[120],i7[6],i8[9],i9[9],i10[9],i11[12],i12[4])->(o0[6],o1[12],o2,o3) */
-static int casadi_f23(const casadi_real** arg, casadi_real** res, casadi_int* iw, casadi_real* w, int mem) {
-  casadi_real **res1=res+4, *rr, *w00=w+2373, *w03=w+2379, *w04=w+2385, *w05=w+2391, w06, w07, w08, w09, w10, w11;
-  casadi_real *w12=w+2397, *w13=w+2517, *w14=w+2523, *w15=w+2532, *w16=w+2541, *w17=w+2550, *w18=w+2562, *w19=w+2566, *w20=w+2686, *w21=w+2692, *w22=w+2701, *w23=w+2710;
-  casadi_real *w24=w+2719, *w25=w+2731, w26;
-  const casadi_real **arg1=arg+13, *cs, *wr01, *wr02, *wr12, *wr14, *wr15, *wr16, *wr17;
-  /* #0: @0 = input[0][0] */
-  casadi_copy(arg[0], 6, w00);
-  /* #1: @1 = input[1][0] */
-  wr01 = arg[1] ? arg[1] : casadi_zeros;
-  /* #2: @2 = input[2][0] */
-  wr02 = arg[2] ? arg[2] : casadi_zeros;
-  /* #3: @3 = input[3][0] */
-  casadi_copy(arg[3], 6, w03);
-  /* #4: @4 = input[4][0] */
-  casadi_copy(arg[4], 6, w04);
-  /* #5: @5 = input[5][0] */
-  casadi_copy(arg[5], 6, w05);
-  /* #6: @6 = 0 */
-  w06 = 0.;
-  /* #7: @7 = 0 */
-  w07 = 0.;
-  /* #8: @8 = 0 */
-  w08 = 0.;
-  /* #9: @9 = 0 */
-  w09 = 0.;
-  /* #10: @10 = 0 */
-  w10 = 0.;
-  /* #11: @11 = 0 */
-  w11 = 0.;
-  /* #12: @12 = input[6][0] */
-  wr12 = arg[6] ? arg[6] : casadi_zeros;
-  /* #13: @13 = input[7][0] */
-  casadi_copy(arg[7], 6, w13);
-  /* #14: @14 = input[8][0] */
-  wr14 = arg[8] ? arg[8] : casadi_zeros;
-  /* #15: @15 = input[9][0] */
-  wr15 = arg[9] ? arg[9] : casadi_zeros;
-  /* #16: @16 = input[10][0] */
-  wr16 = arg[10] ? arg[10] : casadi_zeros;
-  /* #17: @17 = input[11][0] */
-  wr17 = arg[11] ? arg[11] : casadi_zeros;
-  /* #18: @18 = input[12][0] */
-  casadi_copy(arg[12], 4, w18);
-  /* #19: {@19, @20, @21, @22, @23, @24, @25} = qp_step(@0, @1, @2, @3, @4, @5, @12, @13, @14, @15, @16, @17, @18) */
-  arg1[0]=w00;
-  arg1[1]=wr01;
-  arg1[2]=wr02;
-  arg1[3]=w03;
-  arg1[4]=w04;
-  arg1[5]=w05;
-  arg1[6]=wr12;
-  arg1[7]=w13;
-  arg1[8]=wr14;
-  arg1[9]=wr15;
-  arg1[10]=wr16;
-  arg1[11]=wr17;
-  arg1[12]=w18;
-  res1[0]=w19;
-  res1[1]=w20;
-  res1[2]=w21;
-  res1[3]=w22;
-  res1[4]=w23;
-  res1[5]=w24;
-  res1[6]=w25;
-  if (casadi_f10(arg1, res1, iw, w, 0)) return 1;
-  /* #20: @26 = @25[0] */
-  for (rr=(&w26), cs=w25+0; cs!=w25+1; cs+=1) *rr++ = *cs;
-  /* #21: @11 = (@11<=@26) */
-  w11  = (w11<=w26);
-  /* #22: {@12, @13, @14, @15, @16, @17, @18} = qp_steps_2_choice(@11, @0, @1, @2, @3, @4, @5, @19, @20, @21, @22, @23, @24, @25) */
-  arg1[0]=(&w11);
-  arg1[1]=w00;
-  arg1[2]=wr01;
-  arg1[3]=wr02;
-  arg1[4]=w03;
-  arg1[5]=w04;
-  arg1[6]=w05;
-  arg1[7]=w19;
-  arg1[8]=w20;
-  arg1[9]=w21;
-  arg1[10]=w22;
-  arg1[11]=w23;
-  arg1[12]=w24;
-  arg1[13]=w25;
-  res1[0]=w12;
-  res1[1]=w13;
-  res1[2]=w14;
-  res1[3]=w15;
-  res1[4]=w16;
-  res1[5]=w17;
-  res1[6]=w18;
-  if (casadi_f24(arg1, res1, iw, w, 0)) return 1;
-  /* #23: @11 = @18[0] */
-  for (rr=(&w11), cs=w18+0; cs!=w18+1; cs+=1) *rr++ = *cs;
-  /* #24: @10 = (@10<=@11) */
-  w10  = (w10<=w11);
-  /* #25: {@19, @20, @21, @22, @23, @24, @25} = qp_steps_4_choice(@10, @0, @1, @2, @3, @4, @5, @12, @13, @14, @15, @16, @17, @18) */
-  arg1[0]=(&w10);
-  arg1[1]=w00;
-  arg1[2]=wr01;
-  arg1[3]=wr02;
-  arg1[4]=w03;
-  arg1[5]=w04;
-  arg1[6]=w05;
-  arg1[7]=w12;
-  arg1[8]=w13;
-  arg1[9]=w14;
-  arg1[10]=w15;
-  arg1[11]=w16;
-  arg1[12]=w17;
-  arg1[13]=w18;
-  res1[0]=w19;
-  res1[1]=w20;
-  res1[2]=w21;
-  res1[3]=w22;
-  res1[4]=w23;
-  res1[5]=w24;
-  res1[6]=w25;
-  if (casadi_f26(arg1, res1, iw, w, 0)) return 1;
-  /* #26: @10 = @25[0] */
-  for (rr=(&w10), cs=w25+0; cs!=w25+1; cs+=1) *rr++ = *cs;
-  /* #27: @9 = (@9<=@10) */
-  w09  = (w09<=w10);
-  /* #28: {@12, @13, @14, @15, @16, @17, @18} = qp_steps_8_choice(@9, @0, @1, @2, @3, @4, @5, @19, @20, @21, @22, @23, @24, @25) */
-  arg1[0]=(&w09);
-  arg1[1]=w00;
-  arg1[2]=wr01;
-  arg1[3]=wr02;
-  arg1[4]=w03;
-  arg1[5]=w04;
-  arg1[6]=w05;
-  arg1[7]=w19;
-  arg1[8]=w20;
-  arg1[9]=w21;
-  arg1[10]=w22;
-  arg1[11]=w23;
-  arg1[12]=w24;
-  arg1[13]=w25;
-  res1[0]=w12;
-  res1[1]=w13;
-  res1[2]=w14;
-  res1[3]=w15;
-  res1[4]=w16;
-  res1[5]=w17;
-  res1[6]=w18;
-  if (casadi_f29(arg1, res1, iw, w, 0)) return 1;
-  /* #29: @9 = @18[0] */
-  for (rr=(&w09), cs=w18+0; cs!=w18+1; cs+=1) *rr++ = *cs;
-  /* #30: @8 = (@8<=@9) */
-  w08  = (w08<=w09);
-  /* #31: {@19, @20, @21, @22, @23, @24, @25} = qp_steps_16_choice(@8, @0, @1, @2, @3, @4, @5, @12, @13, @14, @15, @16, @17, @18) */
-  arg1[0]=(&w08);
-  arg1[1]=w00;
-  arg1[2]=wr01;
-  arg1[3]=wr02;
-  arg1[4]=w03;
-  arg1[5]=w04;
-  arg1[6]=w05;
-  arg1[7]=w12;
-  arg1[8]=w13;
-  arg1[9]=w14;
-  arg1[10]=w15;
-  arg1[11]=w16;
-  arg1[12]=w17;
-  arg1[13]=w18;
-  res1[0]=w19;
-  res1[1]=w20;
-  res1[2]=w21;
-  res1[3]=w22;
-  res1[4]=w23;
-  res1[5]=w24;
-  res1[6]=w25;
-  if (casadi_f32(arg1, res1, iw, w, 0)) return 1;
-  /* #32: @8 = @25[0] */
-  for (rr=(&w08), cs=w25+0; cs!=w25+1; cs+=1) *rr++ = *cs;
-  /* #33: @7 = (@7<=@8) */
-  w07  = (w07<=w08);
-  /* #34: {@12, @13, @14, @15, @16, @17, @18} = qp_steps_32_choice(@7, @0, @1, @2, @3, @4, @5, @19, @20, @21, @22, @23, @24, @25) */
-  arg1[0]=(&w07);
-  arg1[1]=w00;
-  arg1[2]=wr01;
-  arg1[3]=wr02;
-  arg1[4]=w03;
-  arg1[5]=w04;
-  arg1[6]=w05;
-  arg1[7]=w19;
-  arg1[8]=w20;
-  arg1[9]=w21;
-  arg1[10]=w22;
-  arg1[11]=w23;
-  arg1[12]=w24;
-  arg1[13]=w25;
-  res1[0]=w12;
-  res1[1]=w13;
-  res1[2]=w14;
-  res1[3]=w15;
-  res1[4]=w16;
-  res1[5]=w17;
-  res1[6]=w18;
-  if (casadi_f35(arg1, res1, iw, w, 0)) return 1;
-  /* #35: @7 = @18[0] */
-  for (rr=(&w07), cs=w18+0; cs!=w18+1; cs+=1) *rr++ = *cs;
-  /* #36: @6 = (@6<=@7) */
-  w06  = (w06<=w07);
-  /* #37: {@19, @20, @21, @22, @23, @24, @25} = qp_steps_64_choice(@6, @0, @1, @2, @3, @4, @5, @12, @13, @14, @15, @16, @17, @18) */
-  arg1[0]=(&w06);
-  arg1[1]=w00;
-  arg1[2]=wr01;
-  arg1[3]=wr02;
-  arg1[4]=w03;
-  arg1[5]=w04;
-  arg1[6]=w05;
-  arg1[7]=w12;
-  arg1[8]=w13;
-  arg1[9]=w14;
-  arg1[10]=w15;
-  arg1[11]=w16;
-  arg1[12]=w17;
-  arg1[13]=w18;
-  res1[0]=w19;
-  res1[1]=w20;
-  res1[2]=w21;
-  res1[3]=w22;
-  res1[4]=w23;
-  res1[5]=w24;
-  res1[6]=w25;
-  if (casadi_f38(arg1, res1, iw, w, 0)) return 1;
-  /* #38: {@13, @17, @6, @7} = qp_finish(@0, @1, @2, @3, @4, @5, @19, @20, @21, @22, @23, @24, @25) */
-  arg1[0]=w00;
-  arg1[1]=wr01;
-  arg1[2]=wr02;
-  arg1[3]=w03;
-  arg1[4]=w04;
-  arg1[5]=w05;
-  arg1[6]=w19;
-  arg1[7]=w20;
-  arg1[8]=w21;
-  arg1[9]=w22;
-  arg1[10]=w23;
-  arg1[11]=w24;
-  arg1[12]=w25;
-  res1[0]=w13;
-  res1[1]=w17;
-  res1[2]=(&w06);
-  res1[3]=(&w07);
-  if (casadi_f12(arg1, res1, iw, w, 0)) return 1;
-  /* #39: output[0][0] = @13 */
-  casadi_copy(w13, 6, res[0]);
-  /* #40: output[1][0] = @17 */
-  casadi_copy(w17, 12, res[1]);
-  /* #41: output[2][0] = @6 */
-  if (res[2]) res[2][0] = w06;
-  /* #42: output[3][0] = @7 */
-  if (res[3]) res[3][0] = w07;
-  return 0;
-}
-
-/* qp_choice_5:(i0,i1[6],i2[21],i3[36],i4[6],i5[6],i6[6],i7[120],i8[6],i9[9],i10[9],i11[9],i12[12],i13[4])->(o0[6],o1[12],o2,o3) */
-static int casadi_f22(const casadi_real** arg, casadi_real** res, casadi_int* iw, casadi_real* w, int mem) {
-  if (arg[0] ? casadi_to_int(*arg[0]) : 0) {
-    if (casadi_f23(arg+1, res, iw, w, 0)) return 1;
-  } else {
-    if (casadi_f12(arg+1, res, iw, w, 0)) return 1;
-  }
-  return 0;
-}
-
-/* qp_from_5:(i0[6],i1[21],i2[36],i3[6],i4[6],i5[6],i6[120],i7[6],i8[9],i9[9],i10[9],i11[12],i12[4])->(o0[6],o1[12],o2,o3) */
-static int casadi_f21(const casadi_real** arg, casadi_real** res, casadi_int* iw, casadi_real* w, int mem) {
-  casadi_real **res1=res+4, *rr, w00, *w01=w+2799, *w04=w+2805, *w05=w+2811, *w06=w+2817, *w08=w+2823, *w12=w+2829, *w13=w+2841, *w14=w+2845, *w15=w+2965;
-  casadi_real *w16=w+2971, *w17=w+2980, *w18=w+2989, *w19=w+2998, *w20=w+3010, w21, w22;
-  const casadi_real **arg1=arg+13, *cs, *wr02, *wr03, *wr07, *wr09, *wr10, *wr11, *wr12;
-  /* #0: @0 = 0 */
-  w00 = 0.;
-  /* #1: @1 = input[0][0] */
-  casadi_copy(arg[0], 6, w01);
-  /* #2: @2 = input[1][0] */
-  wr02 = arg[1] ? arg[1] : casadi_zeros;
-  /* #3: @3 = input[2][0] */
-  wr03 = arg[2] ? arg[2] : casadi_zeros;
-  /* #4: @4 = input[3][0] */
-  casadi_copy(arg[3], 6, w04);
-  /* #5: @5 = input[4][0] */
-  casadi_copy(arg[4], 6, w05);
-  /* #6: @6 = input[5][0] */
-  casadi_copy(arg[5], 6, w06);
-  /* #7: @7 = input[6][0] */
-  wr07 = arg[6] ? arg[6] : casadi_zeros;
-  /* #8: @8 = input[7][0] */
-  casadi_copy(arg[7], 6, w08);
-  /* #9: @9 = input[8][0] */
-  wr09 = arg[8] ? arg[8] : casadi_zeros;
-  /* #10: @10 = input[9][0] */
-  wr10 = arg[9] ? arg[9] : casadi_zeros;
-  /* #11: @11 = input[10][0] */
-  wr11 = arg[10] ? arg[10] : casadi_zeros;
-  /* #12: @12 = input[11][0] */
-  wr12 = arg[11] ? arg[11] : casadi_zeros;
-  /* #13: @13 = input[12][0] */
-  casadi_copy(arg[12], 4, w13);
-  /* #14: {@14, @15, @16, @17, @18, @19, @20} = qp_step(@1, @2, @3, @4, @5, @6, @7, @8, @9, @10, @11, @12, @13) */
-  arg1[0]=w01;
-  arg1[1]=wr02;
-  arg1[2]=wr03;
-  arg1[3]=w04;
-  arg1[4]=w05;
-  arg1[5]=w06;
-  arg1[6]=wr07;
-  arg1[7]=w08;
-  arg1[8]=wr09;
-  arg1[9]=wr10;
-  arg1[10]=wr11;
-  arg1[11]=wr12;
-  arg1[12]=w13;
-  res1[0]=w14;
-  res1[1]=w15;
-  res1[2]=w16;
-  res1[3]=w17;
-  res1[4]=w18;
-  res1[5]=w19;
-  res1[6]=w20;
-  if (casadi_f10(arg1, res1, iw, w, 0)) return 1;
-  /* #15: @21 = @20[0] */
-  for (rr=(&w21), cs=w20+0; cs!=w20+1; cs+=1) *rr++ = *cs;
-  /* #16: @0 = (@0<=@21) */
-  w00  = (w00<=w21);
-  /* #17: {@8, @12, @21, @22} = qp_choice_5(@0, @1, @2, @3, @4, @5, @6, @14, @15, @16, @17, @18, @19, @20) */
-  arg1[0]=(&w00);
-  arg1[1]=w01;
-  arg1[2]=wr02;
-  arg1[3]=wr03;
-  arg1[4]=w04;
-  arg1[5]=w05;
-  arg1[6]=w06;
-  arg1[7]=w14;
-  arg1[8]=w15;
-  arg1[9]=w16;
-  arg1[10]=w17;
-  arg1[11]=w18;
-  arg1[12]=w19;
-  arg1[13]=w20;
-  res1[0]=w08;
-  res1[1]=w12;
-  res1[2]=(&w21);
-  res1[3]=(&w22);
-  if (casadi_f22(arg1, res1, iw, w, 0)) return 1;
-  /* #18: output[0][0] = @8 */
-  casadi_copy(w08, 6, res[0]);
-  /* #19: output[1][0] = @12 */
-  casadi_copy(w12, 12, res[1]);
-  /* #20: output[2][0] = @21 */
-  if (res[2]) res[2][0] = w21;
-  /* #21: output[3][0] = @22 */
-  if (res[3]) res[3][0] = w22;
-  return 0;
-}
-
-/* qp_choice_4:(i0,i1[6],i2[21],i3[36],i4[6],i5[6],i6[6],i7[120],i8[6],i9[9],i10[9],i11[9],i12[12],i13[4])->(o0[6],o1[12],o2,o3) */
-static int casadi_f20(const casadi_real** arg, casadi_real** res, casadi_int* iw, casadi_real* w, int mem) {
-  if (arg[0] ? casadi_to_int(*arg[0]) : 0) {
-    if (casadi_f21(arg+1, res, iw, w, 0)) return 1;
-  } else {
-    if (casadi_f12(arg+1, res, iw, w, 0)) return 1;
-  }
-  return 0;
-}
-
-/* qp_from_4:(i0[6],i1[21],i2[36],i3[6],i4[6],i5[6],i6[120],i7[6],i8[9],i9[9],i10[9],i11[12],i12[4])->(o0[6],o1[12],o2,o3) */
-static int casadi_f19(const casadi_real** arg, casadi_real** res, casadi_int* iw, casadi_real* w, int mem) {
-  casadi_real **res1=res+4, *rr, w00, *w01=w+3221, *w04=w+3227, *w05=w+3233, *w06=w+3239, *w08=w+3245, *w12=w+3251, *w13=w+3263, *w14=w+3267, *w15=w+3387;
-  casadi_real *w16=w+3393, *w17=w+3402, *w18=w+3411, *w19=w+3420, *w20=w+3432, w21, w22;
-  const casadi_real **arg1=arg+13, *cs, *wr02, *wr03, *wr07, *wr09, *wr10, *wr11, *wr12;
-  /* #0: @0 = 0 */
-  w00 = 0.;
-  /* #1: @1 = input[0][0] */
-  casadi_copy(arg[0], 6, w01);
-  /* #2: @2 = input[1][0] */
-  wr02 = arg[1] ? arg[1] : casadi_zeros;
-  /* #3: @3 = input[2][0] */
-  wr03 = arg[2] ? arg[2] : casadi_zeros;
-  /* #4: @4 = input[3][0] */
-  casadi_copy(arg[3], 6, w04);
-  /* #5: @5 = input[4][0] */
-  casadi_copy(arg[4], 6, w05);
-  /* #6: @6 = input[5][0] */
-  casadi_copy(arg[5], 6, w06);
-  /* #7: @7 = input[6][0] */
-  wr07 = arg[6] ? arg[6] : casadi_zeros;
-  /* #8: @8 = input[7][0] */
-  casadi_copy(arg[7], 6, w08);
-  /* #9: @9 = input[8][0] */
-  wr09 = arg[8] ? arg[8] : casadi_zeros;
-  /* #10: @10 = input[9][0] */
-  wr10 = arg[9] ? arg[9] : casadi_zeros;
-  /* #11: @11 = input[10][0] */
-  wr11 = arg[10] ? arg[10] : casadi_zeros;
-  /* #12: @12 = input[11][0] */
-  wr12 = arg[11] ? arg[11] : casadi_zeros;
-  /* #13: @13 = input[12][0] */
-  casadi_copy(arg[12], 4, w13);
-  /* #14: {@14, @15, @16, @17, @18, @19, @20} = qp_step(@1, @2, @3, @4, @5, @6, @7, @8, @9, @10, @11, @12, @13) */
-  arg1[0]=w01;
-  arg1[1]=wr02;
-  arg1[2]=wr03;
-  arg1[3]=w04;
-  arg1[4]=w05;
-  arg1[5]=w06;
-  arg1[6]=wr07;
-  arg1[7]=w08;
-  arg1[8]=wr09;
-  arg1[9]=wr10;
-  arg1[10]=wr11;
-  arg1[11]=wr12;
-  arg1[12]=w13;
-  res1[0]=w14;
-  res1[1]=w15;
-  res1[2]=w16;
-  res1[3]=w17;
-  res1[4]=w18;
-  res1[5]=w19;
-  res1[6]=w20;
-  if (casadi_f10(arg1, res1, iw, w, 0)) return 1;
-  /* #15: @21 = @20[0] */
-  for (rr=(&w21), cs=w20+0; cs!=w20+1; cs+=1) *rr++ = *cs;
-  /* #16: @0 = (@0<=@21) */
-  w00  = (w00<=w21);
-  /* #17: {@8, @12, @21, @22} = qp_choice_4(@0, @1, @2, @3, @4, @5, @6, @14, @15, @16, @17, @18, @19, @20) */
-  arg1[0]=(&w00);
-  arg1[1]=w01;
-  arg1[2]=wr02;
-  arg1[3]=wr03;
-  arg1[4]=w04;
-  arg1[5]=w05;
-  arg1[6]=w06;
-  arg1[7]=w14;
-  arg1[8]=w15;
-  arg1[9]=w16;
-  arg1[10]=w17;
-  arg1[11]=w18;
-  arg1[12]=w19;
-  arg1[13]=w20;
-  res1[0]=w08;
-  res1[1]=w12;
-  res1[2]=(&w21);
-  res1[3]=(&w22);
-  if (casadi_f20(arg1, res1, iw, w, 0)) return 1;
-  /* #18: output[0][0] = @8 */
-  casadi_copy(w08, 6, res[0]);
-  /* #19: output[1][0] = @12 */
-  casadi_copy(w12, 12, res[1]);
-  /* #20: output[2][0] = @21 */
-  if (res[2]) res[2][0] = w21;
-  /* #21: output[3][0] = @22 */
-  if (res[3]) res[3][0] = w22;
-  return 0;
-}
-
-/* qp_choice_3:(i0,i1[6],i2[21],i3[36],i4[6],i5[6],i6[6],i7[120],i8[6],i9[9],i10[9],i11[9],i12[12],i13[4])->(o0[6],o1[12],o2,o3) */
-static int casadi_f18(const casadi_real** arg, casadi_real** res, casadi_int* iw, casadi_real* w, int mem) {
-  if (arg[0] ? casadi_to_int(*arg[0]) : 0) {
-    if (casadi_f19(arg+1, res, iw, w, 0)) return 1;
-  } else {
-    if (casadi_f12(arg+1, res, iw, w, 0)) return 1;
-  }
-  return 0;
-}
-
-/* qp_from_3:(i0[6],i1[21],i2[36],i3[6],i4[6],i5[6],i6[120],i7[6],i8[9],i9[9],i10[9],i11[12],i12[4])->(o0[6],o1[12],o2,o3) */
-static int casadi_f17(const casadi_real** arg, casadi_real** res, casadi_int* iw, casadi_real* w, int mem) {
-  casadi_real **res1=res+4, *rr, w00, *w01=w+3643, *w04=w+3649, *w05=w+3655, *w06=w+3661, *w08=w+3667, *w12=w+3673, *w13=w+3685, *w14=w+3689, *w15=w+3809;
-  casadi_real *w16=w+3815, *w17=w+3824, *w18=w+3833, *w19=w+3842, *w20=w+3854, w21, w22;
-  const casadi_real **arg1=arg+13, *cs, *wr02, *wr03, *wr07, *wr09, *wr10, *wr11, *wr12;
-  /* #0: @0 = 0 */
-  w00 = 0.;
-  /* #1: @1 = input[0][0] */
-  casadi_copy(arg[0], 6, w01);
-  /* #2: @2 = input[1][0] */
-  wr02 = arg[1] ? arg[1] : casadi_zeros;
-  /* #3: @3 = input[2][0] */
-  wr03 = arg[2] ? arg[2] : casadi_zeros;
-  /* #4: @4 = input[3][0] */
-  casadi_copy(arg[3], 6, w04);
-  /* #5: @5 = input[4][0] */
-  casadi_copy(arg[4], 6, w05);
-  /* #6: @6 = input[5][0] */
-  casadi_copy(arg[5], 6, w06);
-  /* #7: @7 = input[6][0] */
-  wr07 = arg[6] ? arg[6] : casadi_zeros;
-  /* #8: @8 = input[7][0] */
-  casadi_copy(arg[7], 6, w08);
-  /* #9: @9 = input[8][0] */
-  wr09 = arg[8] ? arg[8] : casadi_zeros;
-  /* #10: @10 = input[9][0] */
-  wr10 = arg[9] ? arg[9] : casadi_zeros;
-  /* #11: @11 = input[10][0] */
-  wr11 = arg[10] ? arg[10] : casadi_zeros;
-  /* #12: @12 = input[11][0] */
-  wr12 = arg[11] ? arg[11] : casadi_zeros;
-  /* #13: @13 = input[12][0] */
-  casadi_copy(arg[12], 4, w13);
-  /* #14: {@14, @15, @16, @17, @18, @19, @20} = qp_step(@1, @2, @3, @4, @5, @6, @7, @8, @9, @10, @11, @12, @13) */
-  arg1[0]=w01;
-  arg1[1]=wr02;
-  arg1[2]=wr03;
-  arg1[3]=w04;
-  arg1[4]=w05;
-  arg1[5]=w06;
-  arg1[6]=wr07;
-  arg1[7]=w08;
-  arg1[8]=wr09;
-  arg1[9]=wr10;
-  arg1[10]=wr11;
-  arg1[11]=wr12;
-  arg1[12]=w13;
-  res1[0]=w14;
-  res1[1]=w15;
-  res1[2]=w16;
-  res1[3]=w17;
-  res1[4]=w18;
-  res1[5]=w19;
-  res1[6]=w20;
-  if (casadi_f10(arg1, res1, iw, w, 0)) return 1;
-  /* #15: @21 = @20[0] */
-  for (rr=(&w21), cs=w20+0; cs!=w20+1; cs+=1) *rr++ = *cs;
-  /* #16: @0 = (@0<=@21) */
-  w00  = (w00<=w21);
-  /* #17: {@8, @12, @21, @22} = qp_choice_3(@0, @1, @2, @3, @4, @5, @6, @14, @15, @16, @17, @18, @19, @20) */
-  arg1[0]=(&w00);
-  arg1[1]=w01;
-  arg1[2]=wr02;
-  arg1[3]=wr03;
-  arg1[4]=w04;
-  arg1[5]=w05;
-  arg1[6]=w06;
-  arg1[7]=w14;
-  arg1[8]=w15;
-  arg1[9]=w16;
-  arg1[10]=w17;
-  arg1[11]=w18;
-  arg1[12]=w19;
-  arg1[13]=w20;
-  res1[0]=w08;
-  res1[1]=w12;
-  res1[2]=(&w21);
-  res1[3]=(&w22);
-  if (casadi_f18(arg1, res1, iw, w, 0)) return 1;
-  /* #18: output[0][0] = @8 */
-  casadi_copy(w08, 6, res[0]);
-  /* #19: output[1][0] = @12 */
-  casadi_copy(w12, 12, res[1]);
-  /* #20: output[2][0] = @21 */
-  if (res[2]) res[2][0] = w21;
-  /* #21: output[3][0] = @22 */
-  if (res[3]) res[3][0] = w22;
-  return 0;
-}
-
-/* qp_choice_2:(i0,i1[6],i2[21],i3[36],i4[6],i5[6],i6[6],i7[120],i8[6],i9[9],i10[9],i11[9],i12[12],i13[4])->(o0[6],o1[12],o2,o3) */
-static int casadi_f16(const casadi_real** arg, casadi_real** res, casadi_int* iw, casadi_real* w, int mem) {
-  if (arg[0] ? casadi_to_int(*arg[0]) : 0) {
-    if (casadi_f17(arg+1, res, iw, w, 0)) return 1;
-  } else {
-    if (casadi_f12(arg+1, res, iw, w, 0)) return 1;
-  }
-  return 0;
-}
-
-/* qp_from_2:(i0[6],i1[21],i2[36],i3[6],i4[6],i5[6],i6[120],i7[6],i8[9],i9[9],i10[9],i11[12],i12[4])->(o0[6],o1[12],o2,o3) */
-static int casadi_f15(const casadi_real** arg, casadi_real** res, casadi_int* iw, casadi_real* w, int mem) {
-  casadi_real **res1=res+4, *rr, w00, *w01=w+4065, *w04=w+4071, *w05=w+4077, *w06=w+4083, *w08=w+4089, *w12=w+4095, *w13=w+4107, *w14=w+4111, *w15=w+4231;
-  casadi_real *w16=w+4237, *w17=w+4246, *w18=w+4255, *w19=w+4264, *w20=w+4276, w21, w22;
-  const casadi_real **arg1=arg+13, *cs, *wr02, *wr03, *wr07, *wr09, *wr10, *wr11, *wr12;
-  /* #0: @0 = 0 */
-  w00 = 0.;
-  /* #1: @1 = input[0][0] */
-  casadi_copy(arg[0], 6, w01);
-  /* #2: @2 = input[1][0] */
-  wr02 = arg[1] ? arg[1] : casadi_zeros;
-  /* #3: @3 = input[2][0] */
-  wr03 = arg[2] ? arg[2] : casadi_zeros;
-  /* #4: @4 = input[3][0] */
-  casadi_copy(arg[3], 6, w04);
-  /* #5: @5 = input[4][0] */
-  casadi_copy(arg[4], 6, w05);
-  /* #6: @6 = input[5][0] */
-  casadi_copy(arg[5], 6, w06);
-  /* #7: @7 = input[6][0] */
-  wr07 = arg[6] ? arg[6] : casadi_zeros;
-  /* #8: @8 = input[7][0] */
-  casadi_copy(arg[7], 6, w08);
-  /* #9: @9 = input[8][0] */
-  wr09 = arg[8] ? arg[8] : casadi_zeros;
-  /* #10: @10 = input[9][0] */
-  wr10 = arg[9] ? arg[9] : casadi_zeros;
-  /* #11: @11 = input[10][0] */
-  wr11 = arg[10] ? arg[10] : casadi_zeros;
-  /* #12: @12 = input[11][0] */
-  wr12 = arg[11] ? arg[11] : casadi_zeros;
-  /* #13: @13 = input[12][0] */
-  casadi_copy(arg[12], 4, w13);
-  /* #14: {@14, @15, @16, @17, @18, @19, @20} = qp_step(@1, @2, @3, @4, @5, @6, @7, @8, @9, @10, @11, @12, @13) */
-  arg1[0]=w01;
-  arg1[1]=wr02;
-  arg1[2]=wr03;
-  arg1[3]=w04;
-  arg1[4]=w05;
-  arg1[5]=w06;
-  arg1[6]=wr07;
-  arg1[7]=w08;
-  arg1[8]=wr09;
-  arg1[9]=wr10;
-  arg1[10]=wr11;
-  arg1[11]=wr12;
-  arg1[12]=w13;
-  res1[0]=w14;
-  res1[1]=w15;
-  res1[2]=w16;
-  res1[3]=w17;
-  res1[4]=w18;
-  res1[5]=w19;
-  res1[6]=w20;
-  if (casadi_f10(arg1, res1, iw, w, 0)) return 1;
-  /* #15: @21 = @20[0] */
-  for (rr=(&w21), cs=w20+0; cs!=w20+1; cs+=1) *rr++ = *cs;
-  /* #16: @0 = (@0<=@21) */
-  w00  = (w00<=w21);
-  /* #17: {@8, @12, @21, @22} = qp_choice_2(@0, @1, @2, @3, @4, @5, @6, @14, @15, @16, @17, @18, @19, @20) */
-  arg1[0]=(&w00);
-  arg1[1]=w01;
-  arg1[2]=wr02;
-  arg1[3]=wr03;
-  arg1[4]=w04;
-  arg1[5]=w05;
-  arg1[6]=w06;
-  arg1[7]=w14;
-  arg1[8]=w15;
-  arg1[9]=w16;
-  arg1[10]=w17;
-  arg1[11]=w18;
-  arg1[12]=w19;
-  arg1[13]=w20;
-  res1[0]=w08;
-  res1[1]=w12;
-  res1[2]=(&w21);
-  res1[3]=(&w22);
-  if (casadi_f16(arg1, res1, iw, w, 0)) return 1;
-  /* #18: output[0][0] = @8 */
-  casadi_copy(w08, 6, res[0]);
-  /* #19: output[1][0] = @12 */
-  casadi_copy(w12, 12, res[1]);
-  /* #20: output[2][0] = @21 */
-  if (res[2]) res[2][0] = w21;
-  /* #21: output[3][0] = @22 */
-  if (res[3]) res[3][0] = w22;
-  return 0;
-}
-
-/* qp_choice_1:(i0,i1[6],i2[21],i3[36],i4[6],i5[6],i6[6],i7[120],i8[6],i9[9],i10[9],i11[9],i12[12],i13[4])->(o0[6],o1[12],o2,o3) */
-static int casadi_f14(const casadi_real** arg, casadi_real** res, casadi_int* iw, casadi_real* w, int mem) {
-  if (arg[0] ? casadi_to_int(*arg[0]) : 0) {
-    if (casadi_f15(arg+1, res, iw, w, 0)) return 1;
-  } else {
-    if (casadi_f12(arg+1, res, iw, w, 0)) return 1;
-  }
-  return 0;
-}
-
-/* qp_from_1:(i0[6],i1[21],i2[36],i3[6],i4[6],i5[6],i6[120],i7[6],i8[9],i9[9],i10[9],i11[12],i12[4])->(o0[6],o1[12],o2,o3) */
-static int casadi_f13(const casadi_real** arg, casadi_real** res, casadi_int* iw, casadi_real* w, int mem) {
-  casadi_real **res1=res+4, *rr, w00, *w01=w+4487, *w04=w+4493, *w05=w+4499, *w06=w+4505, *w08=w+4511, *w12=w+4517, *w13=w+4529, *w14=w+4533, *w15=w+4653;
-  casadi_real *w16=w+4659, *w17=w+4668, *w18=w+4677, *w19=w+4686, *w20=w+4698, w21, w22;
-  const casadi_real **arg1=arg+13, *cs, *wr02, *wr03, *wr07, *wr09, *wr10, *wr11, *wr12;
-  /* #0: @0 = 0 */
-  w00 = 0.;
-  /* #1: @1 = input[0][0] */
-  casadi_copy(arg[0], 6, w01);
-  /* #2: @2 = input[1][0] */
-  wr02 = arg[1] ? arg[1] : casadi_zeros;
-  /* #3: @3 = input[2][0] */
-  wr03 = arg[2] ? arg[2] : casadi_zeros;
-  /* #4: @4 = input[3][0] */
-  casadi_copy(arg[3], 6, w04);
-  /* #5: @5 = input[4][0] */
-  casadi_copy(arg[4], 6, w05);
-  /* #6: @6 = input[5][0] */
-  casadi_copy(arg[5], 6, w06);
-  /* #7: @7 = input[6][0] */
-  wr07 = arg[6] ? arg[6] : casadi_zeros;
-  /* #8: @8 = input[7][0] */
-  casadi_copy(arg[7], 6, w08);
-  /* #9: @9 = input[8][0] */
-  wr09 = arg[8] ? arg[8] : casadi_zeros;
-  /* #10: @10 = input[9][0] */
-  wr10 = arg[9] ? arg[9] : casadi_zeros;
-  /* #11: @11 = input[10][0] */
-  wr11 = arg[10] ? arg[10] : casadi_zeros;
-  /* #12: @12 = input[11][0] */
-  wr12 = arg[11] ? arg[11] : casadi_zeros;
-  /* #13: @13 = input[12][0] */
-  casadi_copy(arg[12], 4, w13);
-  /* #14: {@14, @15, @16, @17, @18, @19, @20} = qp_step(@1, @2, @3, @4, @5, @6, @7, @8, @9, @10, @11, @12, @13) */
-  arg1[0]=w01;
-  arg1[1]=wr02;
-  arg1[2]=wr03;
-  arg1[3]=w04;
-  arg1[4]=w05;
-  arg1[5]=w06;
-  arg1[6]=wr07;
-  arg1[7]=w08;
-  arg1[8]=wr09;
-  arg1[9]=wr10;
-  arg1[10]=wr11;
-  arg1[11]=wr12;
-  arg1[12]=w13;
-  res1[0]=w14;
-  res1[1]=w15;
-  res1[2]=w16;
-  res1[3]=w17;
-  res1[4]=w18;
-  res1[5]=w19;
-  res1[6]=w20;
-  if (casadi_f10(arg1, res1, iw, w, 0)) return 1;
-  /* #15: @21 = @20[0] */
-  for (rr=(&w21), cs=w20+0; cs!=w20+1; cs+=1) *rr++ = *cs;
-  /* #16: @0 = (@0<=@21) */
-  w00  = (w00<=w21);
-  /* #17: {@8, @12, @21, @22} = qp_choice_1(@0, @1, @2, @3, @4, @5, @6, @14, @15, @16, @17, @18, @19, @20) */
-  arg1[0]=(&w00);
-  arg1[1]=w01;
-  arg1[2]=wr02;
-  arg1[3]=wr03;
-  arg1[4]=w04;
-  arg1[5]=w05;
-  arg1[6]=w06;
-  arg1[7]=w14;
-  arg1[8]=w15;
-  arg1[9]=w16;
-  arg1[10]=w17;
-  arg1[11]=w18;
-  arg1[12]=w19;
-  arg1[13]=w20;
-  res1[0]=w08;
-  res1[1]=w12;
-  res1[2]=(&w21);
-  res1[3]=(&w22);
-  if (casadi_f14(arg1, res1, iw, w, 0)) return 1;
-  /* #18: output[0][0] = @8 */
-  casadi_copy(w08, 6, res[0]);
-  /* #19: output[1][0] = @12 */
-  casadi_copy(w12, 12, res[1]);
-  /* #20: output[2][0] = @21 */
-  if (res[2]) res[2][0] = w21;
-  /* #21: output[3][0] = @22 */
-  if (res[3]) res[3][0] = w22;
-  return 0;
-}
-
-/* qp_choice_0:(i0,i1[6],i2[21],i3[36],i4[6],i5[6],i6[6],i7[120],i8[6],i9[9],i10[9],i11[9],i12[12],i13[4])->(o0[6],o1[12],o2,o3) */
-static int casadi_f11(const casadi_real** arg, casadi_real** res, casadi_int* iw, casadi_real* w, int mem) {
-  if (arg[0] ? casadi_to_int(*arg[0]) : 0) {
-    if (casadi_f13(arg+1, res, iw, w, 0)) return 1;
-  } else {
-    if (casadi_f12(arg+1, res, iw, w, 0)) return 1;
-  }
-  return 0;
-}
-
-/* qp_from_0:(i0[6],i1[21],i2[36],i3[6],i4[6],i5[6],i6[120],i7[6],i8[9],i9[9],i10[9],i11[12],i12[4])->(o0[6],o1[12],o2,o3) */
-static int casadi_f9(const casadi_real** arg, casadi_real** res, casadi_int* iw, casadi_real* w, int mem) {
-  casadi_real **res1=res+4, *rr, w00, *w01=w+4909, *w04=w+4915, *w05=w+4921, *w06=w+4927, *w08=w+4933, *w12=w+4939, *w13=w+4951, *w14=w+4955, *w15=w+5075;
-  casadi_real *w16=w+5081, *w17=w+5090, *w18=w+5099, *w19=w+5108, *w20=w+5120, w21, w22;
-  const casadi_real **arg1=arg+13, *cs, *wr02, *wr03, *wr07, *wr09, *wr10, *wr11, *wr12;
-  /* #0: @0 = 0 */
-  w00 = 0.;
-  /* #1: @1 = input[0][0] */
-  casadi_copy(arg[0], 6, w01);
-  /* #2: @2 = input[1][0] */
-  wr02 = arg[1] ? arg[1] : casadi_zeros;
-  /* #3: @3 = input[2][0] */
-  wr03 = arg[2] ? arg[2] : casadi_zeros;
-  /* #4: @4 = input[3][0] */
-  casadi_copy(arg[3], 6, w04);
-  /* #5: @5 = input[4][0] */
-  casadi_copy(arg[4], 6, w05);
-  /* #6: @6 = input[5][0] */
-  casadi_copy(arg[5], 6, w06);
-  /* #7: @7 = input[6][0] */
-  wr07 = arg[6] ? arg[6] : casadi_zeros;
-  /* #8: @8 = input[7][0] */
-  casadi_copy(arg[7], 6, w08);
-  /* #9: @9 = input[8][0] */
-  wr09 = arg[8] ? arg[8] : casadi_zeros;
-  /* #10: @10 = input[9][0] */
-  wr10 = arg[9] ? arg[9] : casadi_zeros;
-  /* #11: @11 = input[10][0] */
-  wr11 = arg[10] ? arg[10] : casadi_zeros;
-  /* #12: @12 = input[11][0] */
-  wr12 = arg[11] ? arg[11] : casadi_zeros;
-  /* #13: @13 = input[12][0] */
-  casadi_copy(arg[12], 4, w13);
-  /* #14: {@14, @15, @16, @17, @18, @19, @20} = qp_step(@1, @2, @3, @4, @5, @6, @7, @8, @9, @10, @11, @12, @13) */
-  arg1[0]=w01;
-  arg1[1]=wr02;
-  arg1[2]=wr03;
-  arg1[3]=w04;
-  arg1[4]=w05;
-  arg1[5]=w06;
-  arg1[6]=wr07;
-  arg1[7]=w08;
-  arg1[8]=wr09;
-  arg1[9]=wr10;
-  arg1[10]=wr11;
-  arg1[11]=wr12;
-  arg1[12]=w13;
-  res1[0]=w14;
-  res1[1]=w15;
-  res1[2]=w16;
-  res1[3]=w17;
-  res1[4]=w18;
-  res1[5]=w19;
-  res1[6]=w20;
-  if (casadi_f10(arg1, res1, iw, w, 0)) return 1;
-  /* #15: @21 = @20[0] */
-  for (rr=(&w21), cs=w20+0; cs!=w20+1; cs+=1) *rr++ = *cs;
-  /* #16: @0 = (@0<=@21) */
-  w00  = (w00<=w21);
-  /* #17: {@8, @12, @21, @22} = qp_choice_0(@0, @1, @2, @3, @4, @5, @6, @14, @15, @16, @17, @18, @19, @20) */
-  arg1[0]=(&w00);
-  arg1[1]=w01;
-  arg1[2]=wr02;
-  arg1[3]=wr03;
-  arg1[4]=w04;
-  arg1[5]=w05;
-  arg1[6]=w06;
-  arg1[7]=w14;
-  arg1[8]=w15;
-  arg1[9]=w16;
-  arg1[10]=w17;
-  arg1[11]=w18;
-  arg1[12]=w19;
-  arg1[13]=w20;
-  res1[0]=w08;
-  res1[1]=w12;
-  res1[2]=(&w21);
-  res1[3]=(&w22);
-  if (casadi_f11(arg1, res1, iw, w, 0)) return 1;
-  /* #18: output[0][0] = @8 */
-  casadi_copy(w08, 6, res[0]);
-  /* #19: output[1][0] = @12 */
-  casadi_copy(w12, 12, res[1]);
-  /* #20: output[2][0] = @21 */
-  if (res[2]) res[2][0] = w21;
-  /* #21: output[3][0] = @22 */
-  if (res[3]) res[3][0] = w22;
-  return 0;
-}
-
-/* qp_busy:(i0[6],i1[21],i2[36],i3[6],i4[6],i5[6],i6[2])->(o0[6],o1[12],o2,o3) */
-static int casadi_f7(const casadi_real** arg, casadi_real** res, casadi_int* iw, casadi_real* w, int mem) {
-  casadi_real **res1=res+4, *w00=w+5331, *w03=w+5337, *w04=w+5343, *w05=w+5349, *w06=w+5355, *w07=w+5357, *w08=w+5477, *w09=w+5483, *w10=w+5492, *w11=w+5501, *w12=w+5510;
-  casadi_real *w13=w+5522, *w14=w+5526, *w15=w+5532, w16, w17;
-  const casadi_real **arg1=arg+7, *wr01, *wr02;
-  /* #0: @0 = input[0][0] */
-  casadi_copy(arg[0], 6, w00);
-  /* #1: @1 = input[1][0] */
-  wr01 = arg[1] ? arg[1] : casadi_zeros;
-  /* #2: @2 = input[2][0] */
-  wr02 = arg[2] ? arg[2] : casadi_zeros;
-  /* #3: @3 = input[3][0] */
-  casadi_copy(arg[3], 6, w03);
-  /* #4: @4 = input[4][0] */
-  casadi_copy(arg[4], 6, w04);
-  /* #5: @5 = input[5][0] */
-  casadi_copy(arg[5], 6, w05);
-  /* #6: @6 = input[6][0] */
-  casadi_copy(arg[6], 2, w06);
-  /* #7: {@7, @8, @9, @10, @11, @12, @13} = qp_begin(@0, @1, @2, @3, @4, @5, @6) */
-  arg1[0]=w00;
-  arg1[1]=wr01;
-  arg1[2]=wr02;
-  arg1[3]=w03;
-  arg1[4]=w04;
-  arg1[5]=w05;
-  arg1[6]=w06;
-  res1[0]=w07;
-  res1[1]=w08;
-  res1[2]=w09;
-  res1[3]=w10;
-  res1[4]=w11;
-  res1[5]=w12;
-  res1[6]=w13;
-  if (casadi_f8(arg1, res1, iw, w, 0)) return 1;
-  /* #8: {@14, @15, @16, @17} = qp_from_0(@0, @1, @2, @3, @4, @5, @7, @8, @9, @10, @11, @12, @13) */
-  arg1[0]=w00;
-  arg1[1]=wr01;
-  arg1[2]=wr02;
-  arg1[3]=w03;
-  arg1[4]=w04;
-  arg1[5]=w05;
-  arg1[6]=w07;
-  arg1[7]=w08;
-  arg1[8]=w09;
-  arg1[9]=w10;
-  arg1[10]=w11;
-  arg1[11]=w12;
-  arg1[12]=w13;
-  res1[0]=w14;
-  res1[1]=w15;
-  res1[2]=(&w16);
-  res1[3]=(&w17);
-  if (casadi_f9(arg1, res1, iw, w, 0)) return 1;
-  /* #9: output[0][0] = @14 */
-  casadi_copy(w14, 6, res[0]);
-  /* #10: output[1][0] = @15 */
-  casadi_copy(w15, 12, res[1]);
-  /* #11: output[2][0] = @16 */
-  if (res[2]) res[2][0] = w16;
-  /* #12: output[3][0] = @17 */
-  if (res[3]) res[3][0] = w17;
-  return 0;
-}
-
-/* qp:(i0,i1[6],i2[21],i3[36],i4[6],i5[6],i6[6],i7[2])->(o0[6],o1[12],o2,o3) */
-static int casadi_f5(const casadi_real** arg, casadi_real** res, casadi_int* iw, casadi_real* w, int mem) {
-  if (arg[0] ? casadi_to_int(*arg[0]) : 0) {
-    if (casadi_f7(arg+1, res, iw, w, 0)) return 1;
-  } else {
-    if (casadi_f6(arg+1, res, iw, w, 0)) return 1;
-  }
-  return 0;
-}
-
-/* ur6_step_part_1:(i0[37],i1[6],i2[12],i3,i4)->(o0[6],o1[6],o2[6],o3[6],o4[3],o5[3],o6[2],o7[2],o8,o9,o10,o11,o12) */
-static int casadi_f41(const casadi_real** arg, casadi_real** res, casadi_int* iw, casadi_real* w, int mem) {
-  casadi_real a00, a01, a02, a03, a04, a05, a06, a07, a08, a09, a10, a11;
-  casadi_real a12, a13, a14, a15, a16, a17, a18, a19, a20, a21, a22, a23;
-  casadi_real a24, a25, a26, a27;
-  a00=arg[0]? arg[0][4] : 0;
-  a01=arg[0]? arg[0][2] : 0;
-  a02=arg[0]? arg[0][1] : 0;
-  a03=arg[0]? arg[0][0] : 0;
-  a04=arg[1]? arg[1][0] : 0;
-  a05=(a03*a04);
-  a05=(a02+a05);
-  a01=(a01*a05);
-  a06=arg[0]? arg[0][3] : 0;
-  a01=(a01+a06);
-  a01=(a00*a01);
-  a06=arg[0]? arg[0][5] : 0;
-  a05=(a06*a05);
-  a01=(a01+a05);
-  if (res[0]!=0) res[0][0]=a01;
-  a05=arg[0]? arg[0][7] : 0;
-  a07=arg[0]? arg[0][6] : 0;
-  a08=arg[1]? arg[1][1] : 0;
-  a09=(a03*a08);
-  a09=(a07+a09);
-  a05=(a05*a09);
-  a10=arg[0]? arg[0][8] : 0;
-  a05=(a05+a10);
-  a05=(a00*a05);
-  a09=(a06*a09);
-  a05=(a05+a09);
-  if (res[0]!=0) res[0][1]=a05;
-  a09=arg[0]? arg[0][10] : 0;
-  a10=arg[0]? arg[0][9] : 0;
-  a11=arg[1]? arg[1][2] : 0;
-  a12=(a03*a11);
-  a12=(a10+a12);
-  a09=(a09*a12);
-  a13=arg[0]? arg[0][11] : 0;
-  a09=(a09+a13);
-  a09=(a00*a09);
-  a12=(a06*a12);
-  a09=(a09+a12);
-  if (res[0]!=0) res[0][2]=a09;
-  a12=arg[0]? arg[0][13] : 0;
-  a13=arg[0]? arg[0][12] : 0;
-  a14=arg[1]? arg[1][3] : 0;
-  a15=(a03*a14);
-  a15=(a13+a15);
-  a12=(a12*a15);
-  a16=arg[0]? arg[0][14] : 0;
-  a12=(a12+a16);
-  a12=(a00*a12);
-  a15=(a06*a15);
-  a12=(a12+a15);
-  if (res[0]!=0) res[0][3]=a12;
-  a15=arg[0]? arg[0][16] : 0;
-  a16=arg[0]? arg[0][15] : 0;
-  a17=arg[1]? arg[1][4] : 0;
-  a18=(a03*a17);
-  a18=(a16+a18);
-  a15=(a15*a18);
-  a19=arg[0]? arg[0][17] : 0;
-  a15=(a15+a19);
-  a15=(a00*a15);
-  a18=(a06*a18);
-  a15=(a15+a18);
-  if (res[0]!=0) res[0][4]=a15;
-  a18=arg[0]? arg[0][19] : 0;
-  a19=arg[0]? arg[0][18] : 0;
-  a20=arg[1]? arg[1][5] : 0;
-  a21=(a03*a20);
-  a21=(a19+a21);
-  a18=(a18*a21);
-  a22=arg[0]? arg[0][20] : 0;
-  a18=(a18+a22);
-  a18=(a00*a18);
-  a06=(a06*a21);
-  a18=(a18+a06);
-  if (res[0]!=0) res[0][5]=a18;
-  a01=(a01-a02);
-  a01=(a01/a03);
-  if (res[1]!=0) res[1][0]=a01;
-  a05=(a05-a07);
-  a05=(a05/a03);
-  if (res[1]!=0) res[1][1]=a05;
-  a09=(a09-a10);
-  a09=(a09/a03);
-  if (res[1]!=0) res[1][2]=a09;
-  a12=(a12-a13);
-  a12=(a12/a03);
-  if (res[1]!=0) res[1][3]=a12;
-  a15=(a15-a16);
-  a15=(a15/a03);
-  if (res[1]!=0) res[1][4]=a15;
-  a18=(a18-a19);
-  a18=(a18/a03);
-  if (res[1]!=0) res[1][5]=a18;
-  if (res[2]!=0) res[2][0]=a04;
-  if (res[2]!=0) res[2][1]=a08;
-  if (res[2]!=0) res[2][2]=a11;
-  if (res[2]!=0) res[2][3]=a14;
-  if (res[2]!=0) res[2][4]=a17;
-  if (res[2]!=0) res[2][5]=a20;
-  a20=arg[0]? arg[0][21] : 0;
-  if (res[3]!=0) res[3][0]=a20;
-  a20=arg[0]? arg[0][22] : 0;
-  if (res[3]!=0) res[3][1]=a20;
-  a20=arg[0]? arg[0][23] : 0;
-  if (res[3]!=0) res[3][2]=a20;
-  a20=arg[0]? arg[0][24] : 0;
-  if (res[3]!=0) res[3][3]=a20;
-  a20=arg[0]? arg[0][25] : 0;
-  if (res[3]!=0) res[3][4]=a20;
-  a20=arg[0]? arg[0][26] : 0;
-  if (res[3]!=0) res[3][5]=a20;
-  a20=arg[0]? arg[0][27] : 0;
-  if (res[4]!=0) res[4][0]=a20;
-  a20=arg[0]? arg[0][28] : 0;
-  if (res[4]!=0) res[4][1]=a20;
-  a20=arg[0]? arg[0][29] : 0;
-  if (res[4]!=0) res[4][2]=a20;
-  a20=arg[0]? arg[0][30] : 0;
-  if (res[5]!=0) res[5][0]=a20;
-  a20=arg[0]? arg[0][31] : 0;
-  if (res[5]!=0) res[5][1]=a20;
-  a20=arg[0]? arg[0][32] : 0;
-  if (res[5]!=0) res[5][2]=a20;
-  a20=arg[0]? arg[0][33] : 0;
-  if (res[6]!=0) res[6][0]=a20;
-  a20=arg[0]? arg[0][34] : 0;
-  if (res[6]!=0) res[6][1]=a20;
-  a20=arg[0]? arg[0][35] : 0;
-  if (res[7]!=0) res[7][0]=a20;
-  a20=arg[0]? arg[0][36] : 0;
-  if (res[7]!=0) res[7][1]=a20;
-  a20=arg[2]? arg[2][11] : 0;
-  a17=arg[2]? arg[2][10] : 0;
-  a14=arg[2]? arg[2][9] : 0;
-  a11=arg[2]? arg[2][8] : 0;
-  a08=arg[2]? arg[2][7] : 0;
-  a04=arg[2]? arg[2][6] : 0;
-  a18=arg[2]? arg[2][5] : 0;
-  a03=arg[2]? arg[2][4] : 0;
-  a19=arg[2]? arg[2][3] : 0;
-  a15=arg[2]? arg[2][2] : 0;
-  a16=arg[2]? arg[2][1] : 0;
-  a12=arg[2]? arg[2][0] : 0;
-  a13=0.;
-  a09=casadi_fmax(a12,a13);
-  a10=casadi_fmax(a16,a09);
-  a05=casadi_fmax(a15,a10);
-  a07=casadi_fmax(a19,a05);
-  a01=casadi_fmax(a03,a07);
-  a02=casadi_fmax(a18,a01);
-  a06=casadi_fmax(a04,a02);
-  a21=casadi_fmax(a08,a06);
-  a22=casadi_fmax(a11,a21);
-  a23=casadi_fmax(a14,a22);
-  a24=casadi_fmax(a17,a23);
-  a25=casadi_fmax(a20,a24);
-  if (res[8]!=0) res[8][0]=a25;
-  a26=1.0000000000000000e-08;
-  a25=(a25<=a26);
-  a26=-1.;
-  a27=(a25?a26:0);
-  a25=(!a25);
-  a24=(a24<a20);
-  a20=11.;
-  a20=(a24?a20:0);
-  a24=(!a24);
-  a23=(a23<a17);
-  a17=10.;
-  a17=(a23?a17:0);
-  a23=(!a23);
-  a22=(a22<a14);
-  a14=9.;
-  a14=(a22?a14:0);
-  a22=(!a22);
-  a21=(a21<a11);
-  a11=8.;
-  a11=(a21?a11:0);
-  a21=(!a21);
-  a06=(a06<a08);
-  a08=7.;
-  a08=(a06?a08:0);
-  a06=(!a06);
-  a02=(a02<a04);
-  a04=6.;
-  a04=(a02?a04:0);
-  a02=(!a02);
-  a01=(a01<a18);
-  a18=5.;
-  a18=(a01?a18:0);
-  a01=(!a01);
-  a07=(a07<a03);
-  a03=4.;
-  a03=(a07?a03:0);
-  a07=(!a07);
-  a05=(a05<a19);
-  a19=3.;
-  a19=(a05?a19:0);
-  a05=(!a05);
-  a10=(a10<a15);
-  a15=2.;
-  a15=(a10?a15:0);
-  a10=(!a10);
-  a09=(a09<a16);
-  a16=1.;
-  a16=(a09?a16:0);
-  a09=(!a09);
-  a13=(a13<a12);
-  a13=(!a13);
-  a13=(a13?a26:0);
-  a09=(a09?a13:0);
-  a16=(a16+a09);
-  a10=(a10?a16:0);
-  a15=(a15+a10);
-  a05=(a05?a15:0);
-  a19=(a19+a05);
-  a07=(a07?a19:0);
-  a03=(a03+a07);
-  a01=(a01?a03:0);
-  a18=(a18+a01);
-  a02=(a02?a18:0);
-  a04=(a04+a02);
-  a06=(a06?a04:0);
-  a08=(a08+a06);
-  a21=(a21?a08:0);
-  a11=(a11+a21);
-  a22=(a22?a11:0);
-  a14=(a14+a22);
-  a23=(a23?a14:0);
-  a17=(a17+a23);
-  a24=(a24?a17:0);
-  a20=(a20+a24);
-  a25=(a25?a20:0);
-  a27=(a27+a25);
-  if (res[9]!=0) res[9][0]=a27;
-  a27=arg[3]? arg[3][0] : 0;
-  if (res[10]!=0) res[10][0]=a27;
-  a27=arg[4]? arg[4][0] : 0;
-  if (res[11]!=0) res[11][0]=a27;
-  if (res[12]!=0) res[12][0]=a00;
-  return 0;
-}
-
-/* ur6_step:(q[6],walls_normal[6],walls_offset[2],walls_margin[2],walls_rate,tool_reference[3],tool_reference_velocity[3],tool_gain[9],tool_damping,tool_near_singularity,camera_reference[3],camera_reference_velocity[3],camera_gain[4],camera_damping,camera_near_singularity,velocity_limit[6],tool_yields,camera_yields,filter_cutoff[6],lam_free,period)->(q_next[6],dq[6],dq_law[6],walls_distance[6],tool_position[3],tool_error[3],camera_value[2],camera_error[2],barrier_excess,barrier_row,barrier_steps,barrier_solved,lam) */
-static int casadi_f2(const casadi_real** arg, casadi_real** res, casadi_int* iw, casadi_real* w, int mem) {
-  casadi_real **res1=res+13, *rr, *w00=w+5603, *w01=w+5609, *w02=w+5615, *w03=w+5617, w04, *w05=w+5619, *w06=w+5622, w08, w09, *w10=w+5625;
-  casadi_real *w11=w+5628, *w12=w+5631, w13, w14, *w15=w+5635, w16, w17, *w18=w+5641, w19, w20, *w21=w+5647, *w22=w+5653;
-  casadi_real *w23=w+5674, *w24=w+5710, *w25=w+5716, *w26=w+5722, *w27=w+5728, *w28=w+5765;
-  const casadi_real **arg1=arg+21, *cs, *wr07;
-  /* #0: @0 = input[0][0] */
-  casadi_copy(arg[0], 6, w00);
-  /* #1: @1 = input[1][0] */
-  casadi_copy(arg[1], 6, w01);
-  /* #2: @2 = input[2][0] */
-  casadi_copy(arg[2], 2, w02);
-  /* #3: @3 = input[3][0] */
-  casadi_copy(arg[3], 2, w03);
-  /* #4: @4 = input[4][0] */
-  w04 = arg[4] ? arg[4][0] : 0;
-  /* #5: @5 = input[5][0] */
-  casadi_copy(arg[5], 3, w05);
-  /* #6: @6 = input[6][0] */
-  casadi_copy(arg[6], 3, w06);
-  /* #7: @7 = input[7][0] */
-  wr07 = arg[7] ? arg[7] : casadi_zeros;
-  /* #8: @8 = input[8][0] */
-  w08 = arg[8] ? arg[8][0] : 0;
-  /* #9: @9 = input[9][0] */
-  w09 = arg[9] ? arg[9][0] : 0;
-  /* #10: @10 = input[10][0] */
-  casadi_copy(arg[10], 3, w10);
-  /* #11: @11 = input[11][0] */
-  casadi_copy(arg[11], 3, w11);
-  /* #12: @12 = input[12][0] */
-  casadi_copy(arg[12], 4, w12);
-  /* #13: @13 = input[13][0] */
-  w13 = arg[13] ? arg[13][0] : 0;
-  /* #14: @14 = input[14][0] */
-  w14 = arg[14] ? arg[14][0] : 0;
-  /* #15: @15 = input[15][0] */
-  casadi_copy(arg[15], 6, w15);
-  /* #16: @16 = input[16][0] */
-  w16 = arg[16] ? arg[16][0] : 0;
-  /* #17: @17 = input[17][0] */
-  w17 = arg[17] ? arg[17][0] : 0;
-  /* #18: @18 = input[18][0] */
-  casadi_copy(arg[18], 6, w18);
-  /* #19: @19 = input[19][0] */
-  w19 = arg[19] ? arg[19][0] : 0;
-  /* #20: @20 = input[20][0] */
-  w20 = arg[20] ? arg[20][0] : 0;
-  /* #21: {@21, @22, @23, @24, @25, @26, @27} = ur6_step_part_0(@0, @1, @2, @3, @4, @5, @6, @7, @8, @9, @10, @11, @12, @13, @14, @15, @16, @17, @18, @19, @20) */
-  arg1[0]=w00;
-  arg1[1]=w01;
-  arg1[2]=w02;
-  arg1[3]=w03;
-  arg1[4]=(&w04);
-  arg1[5]=w05;
-  arg1[6]=w06;
-  arg1[7]=wr07;
-  arg1[8]=(&w08);
-  arg1[9]=(&w09);
-  arg1[10]=w10;
-  arg1[11]=w11;
-  arg1[12]=w12;
-  arg1[13]=(&w13);
-  arg1[14]=(&w14);
-  arg1[15]=w15;
-  arg1[16]=(&w16);
-  arg1[17]=(&w17);
-  arg1[18]=w18;
-  arg1[19]=(&w19);
-  arg1[20]=(&w20);
-  res1[0]=w21;
-  res1[1]=w22;
-  res1[2]=w23;
-  res1[3]=w24;
-  res1[4]=w25;
-  res1[5]=w26;
-  res1[6]=w27;
-  if (casadi_f3(arg1, res1, iw, w, 0)) return 1;
-  /* #22: @4 = 0 */
-  w04 = 0.;
-  /* #23: @2 = qp_look(@21, @22, @23, @24, @25, @26) */
-  arg1[0]=w21;
-  arg1[1]=w22;
-  arg1[2]=w23;
-  arg1[3]=w24;
-  arg1[4]=w25;
-  arg1[5]=w26;
-  res1[0]=w02;
-  if (casadi_f4(arg1, res1, iw, w, 0)) return 1;
-  /* #24: @8 = @2[0] */
-  for (rr=(&w08), cs=w02+0; cs!=w02+1; cs+=1) *rr++ = *cs;
-  /* #25: @4 = (@4<=@8) */
-  w04  = (w04<=w08);
-  /* #26: {@0, @28, @8, @9} = qp(@4, @21, @22, @23, @24, @25, @26, @2) */
-  arg1[0]=(&w04);
-  arg1[1]=w21;
-  arg1[2]=w22;
-  arg1[3]=w23;
-  arg1[4]=w24;
-  arg1[5]=w25;
-  arg1[6]=w26;
-  arg1[7]=w02;
-  res1[0]=w00;
-  res1[1]=w28;
-  res1[2]=(&w08);
-  res1[3]=(&w09);
-  if (casadi_f5(arg1, res1, iw, w, 0)) return 1;
-  /* #27: {@21, @24, @25, @26, @5, @6, @2, @3, @4, @13, @14, @16, @17} = ur6_step_part_1(@27, @0, @28, @8, @9) */
-  arg1[0]=w27;
-  arg1[1]=w00;
-  arg1[2]=w28;
-  arg1[3]=(&w08);
-  arg1[4]=(&w09);
-  res1[0]=w21;
-  res1[1]=w24;
-  res1[2]=w25;
-  res1[3]=w26;
-  res1[4]=w05;
-  res1[5]=w06;
-  res1[6]=w02;
-  res1[7]=w03;
-  res1[8]=(&w04);
-  res1[9]=(&w13);
-  res1[10]=(&w14);
-  res1[11]=(&w16);
-  res1[12]=(&w17);
-  if (casadi_f41(arg1, res1, iw, w, 0)) return 1;
-  /* #28: output[0][0] = @21 */
-  casadi_copy(w21, 6, res[0]);
-  /* #29: output[1][0] = @24 */
-  casadi_copy(w24, 6, res[1]);
-  /* #30: output[2][0] = @25 */
-  casadi_copy(w25, 6, res[2]);
-  /* #31: output[3][0] = @26 */
-  casadi_copy(w26, 6, res[3]);
-  /* #32: output[4][0] = @5 */
-  casadi_copy(w05, 3, res[4]);
-  /* #33: output[5][0] = @6 */
-  casadi_copy(w06, 3, res[5]);
-  /* #34: output[6][0] = @2 */
-  casadi_copy(w02, 2, res[6]);
-  /* #35: output[7][0] = @3 */
-  casadi_copy(w03, 2, res[7]);
-  /* #36: output[8][0] = @4 */
-  if (res[8]) res[8][0] = w04;
-  /* #37: output[9][0] = @13 */
-  if (res[9]) res[9][0] = w13;
-  /* #38: output[10][0] = @14 */
-  if (res[10]) res[10][0] = w14;
-  /* #39: output[11][0] = @16 */
-  if (res[11]) res[11][0] = w16;
-  /* #40: output[12][0] = @17 */
-  if (res[12]) res[12][0] = w17;
-  return 0;
-}
-
-CASADI_SYMBOL_EXPORT int ur6_step(const casadi_real** arg, casadi_real** res, casadi_int* iw, casadi_real* w, int mem){
-  return casadi_f2(arg, res, iw, w, mem);
-}
-
-CASADI_SYMBOL_EXPORT int ur6_step_checkout(void) {
-  return 0;
-}
-
-CASADI_SYMBOL_EXPORT void ur6_step_release(int mem) {
-}
-
-CASADI_SYMBOL_EXPORT void ur6_step_incref(void) {
-}
-
-CASADI_SYMBOL_EXPORT void ur6_step_decref(void) {
-}
-
-CASADI_SYMBOL_EXPORT casadi_int ur6_step_n_in(void) { return 21;}
-
-CASADI_SYMBOL_EXPORT casadi_int ur6_step_n_out(void) { return 13;}
-
-CASADI_SYMBOL_EXPORT casadi_real ur6_step_default_in(casadi_int i) {
-  switch (i) {
-    default: return 0;
-  }
-}
-
-CASADI_SYMBOL_EXPORT const char* ur6_step_name_in(casadi_int i) {
-  switch (i) {
-    case 0: return "q";
-    case 1: return "walls_normal";
-    case 2: return "walls_offset";
-    case 3: return "walls_margin";
-    case 4: return "walls_rate";
-    case 5: return "tool_reference";
-    case 6: return "tool_reference_velocity";
-    case 7: return "tool_gain";
-    case 8: return "tool_damping";
-    case 9: return "tool_near_singularity";
-    case 10: return "camera_reference";
-    case 11: return "camera_reference_velocity";
-    case 12: return "camera_gain";
-    case 13: return "camera_damping";
-    case 14: return "camera_near_singularity";
-    case 15: return "velocity_limit";
-    case 16: return "tool_yields";
-    case 17: return "camera_yields";
-    case 18: return "filter_cutoff";
-    case 19: return "lam_free";
-    case 20: return "period";
-    default: return 0;
-  }
-}
-
-CASADI_SYMBOL_EXPORT const char* ur6_step_name_out(casadi_int i) {
-  switch (i) {
-    case 0: return "q_next";
-    case 1: return "dq";
-    case 2: return "dq_law";
-    case 3: return "walls_distance";
-    case 4: return "tool_position";
-    case 5: return "tool_error";
-    case 6: return "camera_value";
-    case 7: return "camera_error";
-    case 8: return "barrier_excess";
-    case 9: return "barrier_row";
-    case 10: return "barrier_steps";
-    case 11: return "barrier_solved";
-    case 12: return "lam";
-    default: return 0;
-  }
-}
-
-CASADI_SYMBOL_EXPORT const casadi_int* ur6_step_sparsity_in(casadi_int i) {
-  switch (i) {
-    case 0: return casadi_s0;
-    case 1: return casadi_s0;
-    case 2: return casadi_s2;
-    case 3: return casadi_s2;
-    case 4: return casadi_s8;
-    case 5: return casadi_s1;
-    case 6: return casadi_s1;
-    case 7: return casadi_s3;
-    case 8: return casadi_s8;
-    case 9: return casadi_s8;
-    case 10: return casadi_s1;
-    case 11: return casadi_s1;
-    case 12: return casadi_s9;
-    case 13: return casadi_s8;
-    case 14: return casadi_s8;
-    case 15: return casadi_s0;
-    case 16: return casadi_s8;
-    case 17: return casadi_s8;
-    case 18: return casadi_s0;
-    case 19: return casadi_s8;
-    case 20: return casadi_s8;
-    default: return 0;
-  }
-}
-
-CASADI_SYMBOL_EXPORT const casadi_int* ur6_step_sparsity_out(casadi_int i) {
-  switch (i) {
-    case 0: return casadi_s0;
-    case 1: return casadi_s0;
-    case 2: return casadi_s0;
-    case 3: return casadi_s0;
-    case 4: return casadi_s1;
-    case 5: return casadi_s1;
-    case 6: return casadi_s2;
-    case 7: return casadi_s2;
-    case 8: return casadi_s8;
-    case 9: return casadi_s8;
-    case 10: return casadi_s8;
-    case 11: return casadi_s8;
-    case 12: return casadi_s8;
-    default: return 0;
-  }
-}
-
-CASADI_SYMBOL_EXPORT int ur6_step_work(casadi_int *sz_arg, casadi_int* sz_res, casadi_int *sz_iw, casadi_int *sz_w) {
-  if (sz_arg) *sz_arg = 373;
-  if (sz_res) *sz_res = 158;
-  if (sz_iw) *sz_iw = 0;
-  if (sz_w) *sz_w = 5777;
-  return 0;
-}
-
-CASADI_SYMBOL_EXPORT int ur6_step_work_bytes(casadi_int *sz_arg, casadi_int* sz_res, casadi_int *sz_iw, casadi_int *sz_w) {
-  if (sz_arg) *sz_arg = 373*sizeof(const casadi_real*);
-  if (sz_res) *sz_res = 158*sizeof(casadi_real*);
-  if (sz_iw) *sz_iw = 0*sizeof(casadi_int);
-  if (sz_w) *sz_w = 5777*sizeof(casadi_real);
+  const double t696 = period[0] * 6.283185307179586;
+  const double t697 = t696 * filter_cutoff[0];
+  const double t698 = (1.0 - lam_free[0] * (1.0 - t697 / (1.0 + t697))) * solution203.u[0];
+  q_next[0] = q[0] + period[0] * t698;
+  const double t699 = t696 * filter_cutoff[1];
+  const double t700 = (1.0 - lam_free[0] * (1.0 - t699 / (1.0 + t699))) * solution203.u[1];
+  q_next[1] = q[1] + period[0] * t700;
+  const double t701 = t696 * filter_cutoff[2];
+  const double t702 = (1.0 - lam_free[0] * (1.0 - t701 / (1.0 + t701))) * solution203.u[2];
+  q_next[2] = q[2] + period[0] * t702;
+  const double t703 = t696 * filter_cutoff[3];
+  const double t704 = (1.0 - lam_free[0] * (1.0 - t703 / (1.0 + t703))) * solution203.u[3];
+  q_next[3] = q[3] + period[0] * t704;
+  const double t705 = t696 * filter_cutoff[4];
+  const double t706 = (1.0 - lam_free[0] * (1.0 - t705 / (1.0 + t705))) * solution203.u[4];
+  q_next[4] = q[4] + period[0] * t706;
+  const double t707 = t696 * filter_cutoff[5];
+  const double t708 = (1.0 - lam_free[0] * (1.0 - t707 / (1.0 + t707))) * solution203.u[5];
+  q_next[5] = q[5] + period[0] * t708;
+  dq[0] = t698;
+  dq[1] = t700;
+  dq[2] = t702;
+  dq[3] = t704;
+  dq[4] = t706;
+  dq[5] = t708;
+  dq_law[0] = solution203.u[0];
+  dq_law[1] = solution203.u[1];
+  dq_law[2] = solution203.u[2];
+  dq_law[3] = solution203.u[3];
+  dq_law[4] = solution203.u[4];
+  dq_law[5] = solution203.u[5];
+  walls_distance[0] = t559;
+  walls_distance[1] = t560;
+  walls_distance[2] = t561;
+  walls_distance[3] = t562;
+  walls_distance[4] = t563;
+  walls_distance[5] = t564;
+  tool_position[0] = t216;
+  tool_position[1] = t228;
+  tool_position[2] = t240;
+  tool_error[0] = t217;
+  tool_error[1] = t229;
+  tool_error[2] = t241;
+  camera_value[0] = t343;
+  camera_value[1] = t348;
+  camera_error[0] = -t343;
+  camera_error[1] = -t348;
+  const double t709 = solution203.slack[0] > 0.0 ? solution203.slack[0] : 0.0;
+  const double t710 = solution203.slack[1] > t709 ? solution203.slack[1] : t709;
+  const double t711 = solution203.slack[2] > t710 ? solution203.slack[2] : t710;
+  const double t712 = solution203.slack[3] > t711 ? solution203.slack[3] : t711;
+  const double t713 = solution203.slack[4] > t712 ? solution203.slack[4] : t712;
+  const double t714 = solution203.slack[5] > t713 ? solution203.slack[5] : t713;
+  const double t715 = solution203.slack[6] > t714 ? solution203.slack[6] : t714;
+  const double t716 = solution203.slack[7] > t715 ? solution203.slack[7] : t715;
+  const double t717 = solution203.slack[8] > t716 ? solution203.slack[8] : t716;
+  const double t718 = solution203.slack[9] > t717 ? solution203.slack[9] : t717;
+  const double t719 = solution203.slack[10] > t718 ? solution203.slack[10] : t718;
+  const double t720 = solution203.slack[11] > t719 ? solution203.slack[11] : t719;
+  barrier_excess[0] = t720;
+  const double t721 = t710 < solution203.slack[2] ? 2.0 : (t709 < solution203.slack[1] ? 1.0 : (0.0 < solution203.slack[0] ? 0.0 : -1.0));
+  const double t722 = t713 < solution203.slack[5] ? 5.0 : (t712 < solution203.slack[4] ? 4.0 : (t711 < solution203.slack[3] ? 3.0 : t721));
+  const double t723 = t716 < solution203.slack[8] ? 8.0 : (t715 < solution203.slack[7] ? 7.0 : (t714 < solution203.slack[6] ? 6.0 : t722));
+  const double t724 = t719 < solution203.slack[11] ? 11.0 : (t718 < solution203.slack[10] ? 10.0 : (t717 < solution203.slack[9] ? 9.0 : t723));
+  barrier_row[0] = t720 <= 1e-08 ? -1.0 : t724;
+  barrier_steps[0] = solution203.steps;
+  barrier_solved[0] = solution203.solved;
+  lam[0] = lam_free[0];
+  (void)iw, (void)w, (void)mem;
   return 0;
 }
 
@@ -9758,7 +1395,7 @@ void ur6_step_defaults(ur6_step_input *input) {
 }
 
 int ur6_step_call(const ur6_step_input *input, ur6_step_output *output) {
-  const double *arg[373] = {
+  const double *arg[21] = {
     &input->q[0],
     &input->walls_normal[0][0],
     &input->walls_offset[0],
@@ -9781,7 +1418,7 @@ int ur6_step_call(const ur6_step_input *input, ur6_step_output *output) {
     &input->lam_free,
     &input->period
   };
-  double *res[158] = {
+  double *res[13] = {
     &output->q_next[0],
     &output->dq[0],
     &output->dq_law[0],
@@ -9796,7 +1433,5 @@ int ur6_step_call(const ur6_step_input *input, ur6_step_output *output) {
     &output->barrier_solved,
     &output->lam
   };
-  long long int iw[1];
-  double w[5795];
-  return ur6_step(arg, res, iw, w, 0);
+  return ur6_step(arg, res, 0, 0, 0);
 }

@@ -163,7 +163,7 @@ void ur6_step_defaults(ur6_step_input *input);
 /* One evaluation; `output` may not overlap `input`. Returns 0. */
 int ur6_step_call(const ur6_step_input *input, ur6_step_output *output);
 
-/* The same in CasADi's calling convention; iw wants 0 entries, w 5795, mem is 0. */
+/* The same in CasADi's calling convention; iw and w may be null, mem is 0. */
 int ur6_step(const double **arg, double **res, long long int *iw, double *w, int mem);
 
 #ifdef __cplusplus

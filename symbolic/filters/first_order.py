@@ -21,10 +21,8 @@ class Spec(Document):
     kind: Literal["first_order"]
     cutoff: Positive | tuple[Positive, ...]
 
-    def build(
-        self, q_raw: ca.SX, q_previous: ca.SX, period: ca.SX, input_of: Sequence[int]
-    ) -> tuple[ca.SX, tuple[Signal, ...]]:
-        """The filtered joint position (n, 1) and the inputs it needs; `input_of` q_i is the input that moves it."""
+    def build(self, period: ca.SX, input_of: Sequence[int]) -> tuple[ca.SX, tuple[Signal, ...]]:
+        """β (n, 1) and the inputs it needs; `input_of` q_i is the input that moves it."""
         cutoff = symbol(
             "filter_cutoff",
             (max(input_of) + 1,),
@@ -35,5 +33,4 @@ class Spec(Document):
             self.cutoff,
         )
         x = 2 * math.pi * period * cutoff.expression
-        beta = (x / (1 + x))[list(input_of)]  # (n, 1), the diagonal of A_β
-        return beta * q_raw + (1 - beta) * q_previous, (cutoff,)
+        return (x / (1 + x))[list(input_of)], (cutoff,)

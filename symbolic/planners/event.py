@@ -23,10 +23,9 @@ class Spec(PlannerSpec):
     def build(self, motion: Motion, chosen: "AnyFilter") -> Plan:
         """Eqs. 16, 18 and 17, in this order."""
         free, at_event = self.shares()
-        q_filtered, filter_inputs = motion.filtered(chosen, q_previous=motion.q)  # eq. 16
         lam = ca.if_else(motion.event, at_event.expression, free.expression)  # eq. 18
-        q_next = lam * q_filtered + (1 - lam) * motion.q_raw  # eq. 17
-        return Plan(q_next, lam, (*filter_inputs, free, at_event))
+        share, filter_inputs = motion.share(lam, chosen)  # eqs. 16 and 17
+        return Plan(share * motion.dq_law, lam, (*filter_inputs, free, at_event))
 
 
 def by_default(table: Any) -> Any:

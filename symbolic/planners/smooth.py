@@ -38,15 +38,15 @@ class Spec(PlannerSpec):
         free, at_event = self.shares()
         width = symbol("planner_width", (), "m", "clearance where λ is lam_free", "parameter", (1e-6, 1e3), self.width)
         u_previous = _velocity_state(motion)
-        coasting = motion.q + motion.period * (motion.velocity_map @ u_previous.expression)
-        q_filtered, filter_inputs = motion.filtered(chosen, q_previous=coasting)  # eq. 16
+        coasting = motion.velocity_map @ u_previous.expression
         share = nearness(motion.clearance, width.expression)
         lam = (1 - share) * free.expression + share * at_event.expression  # eq. 18
-        q_next = lam * q_filtered + (1 - lam) * motion.q_raw  # eq. 17
-        u = motion.velocity_map.T @ ((q_next - motion.q) / motion.period)  # SᵀS = I
+        kept, filter_inputs = motion.share(lam, chosen)  # eqs. 16 and 17
+        dq = kept * motion.dq_law + (1 - kept) * coasting
+        u = motion.velocity_map.T @ dq  # SᵀS = I
         text = "u of this period, the next one's u_previous"
         u_next = result("u_next", u, u_previous.info.shape, u_previous.info.unit, text, "state", "u_previous")
-        return Plan(q_next, lam, (u_previous, *filter_inputs, free, at_event, width), (u_next,))
+        return Plan(dq, lam, (u_previous, *filter_inputs, free, at_event, width), (u_next,))
 
 
 def nearness(clearance: ca.SX | None, width: ca.SX) -> ca.SX:

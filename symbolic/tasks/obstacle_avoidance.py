@@ -1,6 +1,5 @@
 """Obstacle avoidance at the points of interest (eqs. 6-10)."""
 
-from dataclasses import replace
 from typing import Literal
 
 from clikgen.runtime.documents import BadInput
@@ -25,10 +24,9 @@ class Spec(OneSidedSpec):
         return len(robot.points_of_interest)
 
     def boundary(self, tree: KinematicTree, sensing: Sensing | None) -> Boundary:
-        """The contacts; the sum J_o = Σ x uᵀ J_r of eq. 9 by the wrenches that the points' pushes exert on the tree."""
+        """The contacts; the sum J_o = Σ x uᵀ J_r of eq. 9 by the wrenches that the points exert on the tree."""
         if sensing is None:
             raise BadInput("wanted points of interest and [obstacles] maximum >= 1")
-        pushes = (
-            replace(push, force=c.depth * push.force) for push, c in zip(sensing.pushes, sensing.contacts, strict=True)
-        )
-        return Boundary(self.name, "m", sensing.contacts, pairs=sensing.pairs, gradient=tree.pullback(list(pushes)))
+        closest = sensing.closest
+        summed = closest.potential, tree.pullback(closest.wrenches)
+        return Boundary(self.name, "m", closest.contacts, pairs=sensing.pairs, summed=summed)

@@ -126,7 +126,7 @@ def test_mistake_on_the_command_line_is_one_line(mistake, run_clikgen):
 
 def test_generated_code_that_was_edited_is_refused(run_clikgen, generated_copy):
     source = generated_copy / "planar5" / "planar5.c"
-    source.write_text(source.read_text().replace("fmax", "fmin"))
+    source.write_text(source.read_text().replace("sqrt", "cbrt"))
     line = complaint(run_clikgen, "simulate", "paper", cwd=generated_copy.parent)
     assert "planar5.c" in line
     assert "clikgen generate" in line

@@ -401,6 +401,7 @@ def test_the_model_that_is_broken_below_is_good_when_whole(run_clikgen, tmp_path
     assert {path.name for path in (tmp_path / "generated" / "my_arm").iterdir()} == {
         "my_arm.c",
         "my_arm.h",
+        "my_arm_lanes.c",
         "manifest.json",
     }
 

@@ -42,8 +42,8 @@ class Evaluated:
         """What it takes, by name."""
         return {signal.info.name: signal.info for signal in self._functions[function].inputs}
 
-    def instructions(self, function="step"):
-        return self._functions[function].casadi.n_instructions()
+    def operations(self, function="step"):
+        return self._functions[function].procedure.operations
 
     def run(self, steps, q, **values):
         """q over time (steps + 1, n), and all outputs over time (steps, ...); a value may be a function of t."""

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.optimize import lsq_linear
 
-from clikgen.symbolic.distances import direction, nearest_on_segment, nearest_on_segments
+from clikgen.symbolic.distances import COINCIDENT, direction, nearest_on_segment, nearest_on_segments
 
 
 def _function(dimension):
@@ -173,4 +173,4 @@ def test_direction_is_a_unit_vector_and_plus_x_where_there_is_none(dimension):
         np.testing.assert_allclose(unit[:, 0], vector / np.linalg.norm(vector), rtol=0, atol=1e-15)
     for vector in (np.zeros(dimension), np.full(dimension, 1e-13), np.full(dimension, 1e-200)):
         unit, _ = (np.array(one) for one in function(vector))
-        np.testing.assert_array_equal(unit[:, 0], np.eye(dimension)[0])
+        np.testing.assert_allclose(unit[:, 0], np.eye(dimension)[0], rtol=0, atol=COINCIDENT)

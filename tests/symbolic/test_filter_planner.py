@@ -58,11 +58,11 @@ def test_lambda_zero_is_case_1_bit_for_bit(evaluate_many, states_near_contact, s
         outputs = evaluate_many("step", values)
         T = values["period"][:, None]
         np.testing.assert_array_equal(outputs["q_next"], values["q"] + T * outputs["dq_law"])
-        np.testing.assert_array_equal(outputs["dq"], (outputs["q_next"] - values["q"]) / T)
+        np.testing.assert_array_equal(outputs["dq"], outputs["dq_law"])
         np.testing.assert_array_equal(outputs["lam"], 0)
 
 
-def test_lambda_one_is_case_2_bit_for_bit(evaluate_many, states_near_contact):
+def test_lambda_one_is_case_2_to_rounding(evaluate_many, states_near_contact):
     values = states_near_contact(10_000, 10)
     values["lam_free"][:], values["lam_event"][:] = 1, 1
     outputs = evaluate_many("step", values)
@@ -70,7 +70,9 @@ def test_lambda_one_is_case_2_bit_for_bit(evaluate_many, states_near_contact):
     x = 2 * np.pi * T * values["filter_cutoff"]
     beta = x / (1 + x)
     q_raw = values["q"] + T * outputs["dq_law"]
-    np.testing.assert_array_equal(outputs["q_next"], beta * q_raw + (1 - beta) * values["q"])
+    # a few roundings of the greatest of the terms, 2^-53 each
+    scale = np.abs(values["q"]) + np.abs(T * outputs["dq_law"])
+    assert np.max(np.abs(outputs["q_next"] - (beta * q_raw + (1 - beta) * values["q"])) / scale) < 4 * 2.0**-53
     np.testing.assert_array_equal(outputs["lam"], 1)
 
 

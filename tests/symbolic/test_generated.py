@@ -19,7 +19,7 @@ from clikgen.runtime.manifest import load_manifest
 from clikgen.runtime.scenario import CASES, find_scenario, read_scenario
 from clikgen.runtime.simulation import prepare
 from clikgen.symbolic.generate import difference, generate, generate_file, shipped_folder
-from clikgen.symbolic.spec import ControllerSpec, shipped_specs
+from clikgen.symbolic.spec import ControllerSpec, read_spec, shipped_specs
 
 WARNINGS = ["-Wall", "-Wextra", "-pedantic", "-Werror"]
 C_COMPILERS = [compiler.command for compiler in available_compilers()]
@@ -42,10 +42,10 @@ def altered(planar5_spec_file):
 def written(tmp_path):
     """The folder of a controller generated from a spec."""
 
-    def write(spec):
+    def write(spec, target="c"):
         folder = tmp_path / spec.name
         folder.mkdir()
-        for name, text in generate(spec).items():
+        for name, text in generate(spec, target).items():
             (folder / name).write_text(text)
         return folder
 
@@ -79,7 +79,8 @@ def test_text_depends_neither_on_hash_seed_nor_on_folder(seed, planar5_spec_file
     environment = os.environ | {"PYTHONHASHSEED": seed, "LC_ALL": "C", "TZ": "Asia/Tokyo"}
     command = [sys.executable, "-X", "utf8", "-c", program, str(planar5_spec_file)]
     subprocess.run(command, cwd=tmp_path, env=environment, check=True)
-    assert {file.name for file in tmp_path.iterdir()} == {"planar5.c", "planar5.h", "manifest.json"}
+    names = {"planar5.c", "planar5.h", "planar5_lanes.c", "manifest.json"}
+    assert {file.name for file in tmp_path.iterdir()} == names
     for file in tmp_path.iterdir():
         assert file.read_bytes() == (planar5_folder / file.name).read_bytes()
 
@@ -229,10 +230,12 @@ def test_a_c_program_with_the_typed_structs_gets_the_numbers_that_python_gets(
         np.testing.assert_array_equal(values.view(np.uint64), array.view(np.uint64), err_msg=name)
 
 
-def test_a_c_program_gets_the_numbers_of_a_step_with_a_workspace_too(tmp_path):
-    """ur6 behind its table, so that the barrier acts: a program that may end early, with memory of its own."""
-    controller = CompiledController.load("ur6")
-    assert controller.step.info.sz_w > 0
+@pytest.mark.parametrize("target", ["c", "casadi"])
+def test_a_c_program_gets_the_numbers_of_a_step_with_a_barrier_too(target, written):
+    """ur6 behind its table, so that the barrier acts: a program that may end early, CasADi's with a workspace."""
+    folder = written(read_spec(next(path for path in shipped_specs() if path.stem == "ur6")), target)
+    controller = CompiledController.load(folder)
+    assert (controller.step.info.sz_w > 0) == (target == "casadi")
     q = np.array([0.3, 0.4, 0.5, -1.0, 0.2, 0.0])
     expected = controller.step(q=q)
     assert expected["barrier_steps"] >= 1
@@ -242,10 +245,10 @@ def test_a_c_program_gets_the_numbers_of_a_step_with_a_workspace_too(tmp_path):
         for name in controller.step.outputs
     ]
     text = MAIN.replace("ASSIGNMENTS", "\n".join(assignments)).replace("PRINTS", "\n".join(prints))
-    main, folder = tmp_path / "main.c", shipped_folder() / "ur6"
+    main = folder / "main.c"
     main.write_text(text.replace("planar5", "ur6").replace("PLANAR5", "UR6"))
     flags = [flag for flag in FLAGS if flag not in ("-shared", "-fPIC")]
-    program, sources = str(tmp_path / "main"), [str(main), str(folder / "ur6.c")]
+    program, sources = str(folder / "main"), [str(main), str(folder / "ur6.c")]
     _expect_success([*find_compiler().command, *flags, f"-I{folder}", "-o", program, *sources, "-lm"])
     printed = subprocess.run([program], capture_output=True, text=True, check=True).stdout
     for name, *values in map(str.split, printed.splitlines()):
@@ -401,7 +404,7 @@ def test_generated_code_is_independent_of_casadi(planar5_folder):
     """Nothing but the C standard library is included."""
     for file in ("planar5.c", "planar5.h"):
         includes = re.findall(r"^\s*#\s*include\s*(\S+)", (planar5_folder / file).read_text(), flags=re.MULTILINE)
-        assert set(includes) <= {"<math.h>", '"planar5.h"'}
+        assert set(includes) <= {"<math.h>", "<stdint.h>", '"planar5.h"'}
 
 
 def test_the_manifest_names_the_casadi_that_generated_it(planar5_manifest):

@@ -7,6 +7,7 @@ from scipy.optimize import minimize_scalar
 
 from clikgen.runtime.manifest import FAR
 from clikgen.symbolic.obstacles import ObstacleCapacity, Obstacles
+from clikgen.symbolic.stage import Procedure
 
 ROUNDING = 4e-15  # of coordinates below 3 m, some ten terms
 
@@ -20,7 +21,10 @@ class Field:
         self.infos = [signal.info for signal in obstacles.inputs]
         point = ca.SX.sym("point", dimension)
         columns = [signal.column for signal in obstacles.inputs]
-        self._function = ca.Function("closest", [point, *columns], list(obstacles.shapes.closest(point)))
+        stages = []
+        distance, toward, length = obstacles.shapes(stages).closest(point, stages)
+        procedure = Procedure.of("closest", [point, *columns], [distance, toward / length], stages)
+        self._function = procedure.casadi()
 
     def __call__(self, point, **given):
         """D [m] and u (dimension,); arrays (N, ...) give (N,) and (N, dimension)."""

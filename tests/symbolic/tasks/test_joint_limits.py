@@ -123,8 +123,8 @@ def test_a_robot_inside_all_margins_does_what_the_task_below_wants(evaluated, ar
     np.testing.assert_array_equal(with_it["dq_law"], without["dq_law"])
 
 
-def test_instructions_grow_linearly_with_the_joints(evaluated, plane_arm):
-    counts = [evaluated(plane_arm([0.1] * n), STOPS).instructions() for n in (5, 10, 20)]
+def test_operations_grow_linearly_with_the_joints(evaluated, plane_arm):
+    counts = [evaluated(plane_arm([0.1] * n), STOPS).operations() for n in (5, 10, 20)]
     # 5 more joints cost what the 5 before cost, each alike, up to a handful of constants shared
     assert counts[2] - counts[1] == pytest.approx(2 * (counts[1] - counts[0]), abs=5)
 

@@ -116,11 +116,11 @@ def test_below_a_tracking_task_it_moves_the_arm_within_the_null_space_alone(eval
     assert np.max(np.abs(outputs["rest_error"][-1])) > 0.1
 
 
-def test_instructions_grow_linearly_with_the_joints(evaluated, plane_arm):
+def test_operations_grow_linearly_with_the_joints(evaluated, plane_arm):
     counts = []
     for n in (5, 10, 20):
         robot = plane_arm([0.1] * n)
-        counts.append(evaluated(robot, _posture(posture=[0.1] * n)).instructions())
+        counts.append(evaluated(robot, _posture(posture=[0.1] * n)).operations())
     # 5 more joints cost what the 5 before cost, each alike, up to a handful of constants shared
     assert counts[2] - counts[1] == pytest.approx(2 * (counts[1] - counts[0]), abs=5)
 
