@@ -25,8 +25,8 @@ from clikgen.analysis.certificate import (
 )
 from clikgen.analysis.clik_loop import Loop, gain_bound
 from clikgen.analysis.discrete_filter import beta_of
-from clikgen.analysis.metrics import rms
 from clikgen.analysis.tracking import alone, damping_at, without_limits
+from clikgen.runtime.batch import simulate_batch
 from clikgen.runtime.controller import CompiledController
 from clikgen.runtime.documents import BadInput
 from clikgen.runtime.manifest import FunctionInfo
@@ -81,11 +81,26 @@ def boundary(
     }
     place = regular_configuration(controller) if q is None else step.input("q").value(q, f"{name}: q")
     values |= alone(controller.manifest) | {"q": place, "lam_free": np.array(1.0 if filtered else 0.0)}
-    points = []
-    for period in periods:
-        T = step.input("period").value(period, f"{name}: period")
-        points.append(_boundary_point(controller, values | {"period": T}, filtered))
-    return points
+    every = [step.input("period").value(period, f"{name}: period") for period in periods]
+    starts = [_start(controller, values | {"period": T}, filtered) for T in every]
+    each = {"period": np.array(every), f"{_task(controller)}_reference": np.array([one.reference for one in starts])}
+    shared = {key: value for key, value in values.items() if key not in (*each, f"{_task(controller)}_gain")}
+    gains = _boundary_gains(controller, shared, each) if starts else np.zeros(0)
+    return [
+        BoundaryPoint(float(T), one.share, float(gain), gain_bound(Loop("A", float(T))) / one.share)
+        for T, one, gain in zip(every, starts, gains, strict=True)
+    ]
+
+
+def _task(controller: CompiledController) -> str:
+    """The name of the task that is watched: the first that tracks, if it is a position; raises BadInput."""
+    first, position = controller.manifest.tracking_task(), controller.manifest.position_task()
+    if first != position:
+        raise BadInput(
+            f"{controller.manifest.controller}: wanted the position task '{position.name}' above the other tracking "
+            f"tasks, got '{first.name}'"
+        )
+    return position.name
 
 
 def _defaults(step: FunctionInfo) -> dict[str, Array]:
@@ -94,9 +109,17 @@ def _defaults(step: FunctionInfo) -> dict[str, Array]:
     }
 
 
-def _boundary_point(controller: CompiledController, values: dict[str, Array], filtered: bool) -> BoundaryPoint:
+@dataclass(frozen=True, slots=True, eq=False)
+class _Start:
+    """The largest eigenvalue of J A_β J^#, and the reference (m,) [m] that is PERTURBATION away along its vector."""
+
+    share: float
+    reference: Array
+
+
+def _start(controller: CompiledController, values: dict[str, Array], filtered: bool) -> _Start:
     """One sampling time: the error starts along the eigenvector of J A_β J^# that loses stability first."""
-    task, T = controller.manifest.position_task().name, float(values["period"])
+    task, T = _task(controller), float(values["period"])
     J = jacobians(controller, values["q"][None])[0]
     cutoffs = values["filter_cutoff"]
     beta = [beta_of(float(cutoff), T) if filtered else 1.0 for cutoff in cutoffs]
@@ -105,32 +128,37 @@ def _boundary_point(controller: CompiledController, values: dict[str, Array], fi
     shares, vectors = eigh((J * beta) @ J.T, gram)
     first = gram @ vectors[:, -1]
     position = controller.kinematics(q=values["q"])[f"{task}_position"]
-    start = {f"{task}_reference": position + PERTURBATION * first / np.linalg.norm(first)}
-    share = float(shares[-1])
-    return BoundaryPoint(T, share, _boundary_gain(controller, values | start), gain_bound(Loop("A", T)) / share)
+    return _Start(float(shares[-1]), position + PERTURBATION * first / np.linalg.norm(first))
 
 
-def _boundary_gain(controller: CompiledController, values: dict[str, Array]) -> float:
-    """Where decay turns into growth, by doubling from 1/T and bisection."""
-    high = 1 / float(values["period"])
-    while _decays(controller, values, high):
-        high *= 2
+def _boundary_gains(controller: CompiledController, shared: Mapping[str, Array], each: Mapping[str, Array]) -> Array:
+    """Where decay turns into growth at each of the sampling times, by doubling from 1/T and bisection, all at once."""
+    task, count = _task(controller), len(each["period"])
+
+    def largest(gains: Array, steps: int) -> Array:
+        """Of the errors within so many steps, (count,) [m]."""
+        K = gains[:, None, None] * np.eye(each[f"{task}_reference"].shape[1])
+        tried = {**each, f"{task}_gain": K}
+        return simulate_batch(controller, steps, count, shared, tried, ["tracking_max"])["tracking_max"]
+
+    high = 1 / each["period"]
+    start = largest(high, 1)
+
+    def decays(gains: Array) -> NDArray[np.bool_]:
+        """Whether the error never again is as large as at the start.
+
+        Its end alone would not tell: what has grown may carry the arm to another configuration, where it dies.
+        """
+        return largest(gains, STEPS) <= start
+
+    while (decaying := decays(high)).any():
+        high = np.where(decaying, 2 * high, high)
     low = high / 2
     for _ in range(HALVINGS):
         middle = (low + high) / 2
-        low, high = (middle, high) if _decays(controller, values, middle) else (low, middle)
+        decaying = decays(middle)
+        low, high = np.where(decaying, middle, low), np.where(decaying, high, middle)
     return (low + high) / 2
-
-
-def _decays(controller: CompiledController, values: dict[str, Array], gain: float) -> bool:
-    """Whether the error never again is as large as at the start.
-
-    Its end alone would not tell: what has grown may carry the arm to another configuration, where it dies.
-    """
-    task = controller.manifest.position_task().name
-    K = gain * np.eye(values[f"{task}_reference"].size)
-    size = _size(controller.rollout(STEPS, values | {f"{task}_gain": K})[f"{task}_error"])
-    return bool(size[1:].max() < size[0])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -206,8 +234,8 @@ class _Row:
 
     beta: float
     motion: Motion
-    largest: list[float]
-    rms: list[float]
+    largest: Array
+    rms: Array
     ultimate: list[float]
     certified: float
 
@@ -218,24 +246,50 @@ def _row(run: Run, bounds: Bounds, gains: Sequence[float], transient: float) -> 
     reference, velocity = run.values[f"{task}_reference"], run.values[f"{task}_reference_velocity"]
     motion = reference_motion(reference, velocity, run.period)
     tuning = replace(tuning_of(run.controller.manifest, run.values, bounds), gains=tuple(gains[:1]))
-    values = {**run.values, **without_limits(run.controller.step.info)}
-    largest, tracked_rms, ultimate = [], [], []
+    largest, tracked_rms = _tracked(run, np.asarray(gains, dtype=float), int(transient * run.steps))
+    ultimate = []
     for gain in gains:
-        K = gain * np.eye(reference.shape[1])
-        error = run.controller.rollout(run.steps, {**values, f"{task}_gain": K})[f"{task}_error"]
-        size = _size(error[int(transient * run.steps) :])
-        largest.append(float(size.max()))
-        tracked_rms.append(rms(size))
         certified = recursion(bounds, motion, replace(tuning, gains=(gain,)))
         ultimate.append(certified.fixed_points[0] if certified.contracts else float(np.inf))
     return _Row(tuning.beta, motion, largest, tracked_rms, ultimate, largest_gain(bounds, motion, tuning))
 
 
-def _size(error: Array) -> Array:
-    """The norms of errors (N, m), shape (N,) [m]; infinite where the loop has diverged."""
-    with np.errstate(over="ignore", invalid="ignore"):
-        size: Array = np.linalg.norm(error, axis=1)
-    return np.where(size < DIVERGED, size, np.inf)  # NaN is not below
+def _tracked(run: Run, gains: Array, transient: int) -> tuple[Array, Array]:
+    """The largest error and its RMS after so many steps, with every gain, both (G,) [m]; infinite where it diverged."""
+    controller, step = run.controller, run.controller.step.info
+    task, states = _task(controller), {signal.feeds for signal in step.outputs if signal.feeds}
+    values = {**run.values, **without_limits(step)}
+    shapes = {signal.name: signal.shape for signal in step.inputs}
+
+    def part(steps: slice) -> dict[str, Array]:
+        """The values that are shared in a part of the run."""
+        kept = {name: np.asarray(value) for name, value in values.items() if name != f"{task}_gain"}
+        return {name: value if value.shape == shapes[name] else value[steps] for name, value in kept.items()}
+
+    each = {f"{task}_gain": gains[:, None, None] * np.eye(values[f"{task}_reference"].shape[1])}
+    diverged = np.zeros(len(gains), dtype=bool)
+    if transient:
+        wanted = ["diverged_at", *(f"final_{state}" for state in sorted(states))]
+        before = simulate_batch(controller, transient, len(gains), part(slice(transient)), each, wanted)
+        diverged |= np.isfinite(before["diverged_at"]) | ~_finite(before["final_q"])
+        safe = {state: before[f"final_{state}"] for state in states}
+        safe = {name: np.where(_over(diverged, value), 0.0, value) for name, value in safe.items()}
+        each |= safe
+    shared = {name: value for name, value in part(slice(transient, None)).items() if name not in each}
+    metrics = ["tracking_max", "tracking_rms", "diverged_at"]
+    after = simulate_batch(controller, run.steps - transient, len(gains), shared, each, metrics)
+    diverged |= np.isfinite(after["diverged_at"]) | ~(after["tracking_max"] < DIVERGED)
+    return np.where(diverged, np.inf, after["tracking_max"]), np.where(diverged, np.inf, after["tracking_rms"])
+
+
+def _finite(values: Array) -> NDArray[np.bool_]:
+    """Whether all of a row is finite, (N,)."""
+    return np.asarray(np.isfinite(values.reshape(len(values), -1)).all(axis=1))
+
+
+def _over(rows: NDArray[np.bool_], values: Array) -> NDArray[np.bool_]:
+    """A flag for each row, in the shape of the values."""
+    return np.broadcast_to(rows.reshape(-1, *[1] * (values.ndim - 1)), values.shape)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -5,7 +5,7 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-from clikgen.runtime.compiler import FLAGS, find_compiler
+from clikgen.runtime.compiler import FLAGS, NATIVE, find_compiler
 
 
 def machine() -> str:
@@ -23,7 +23,7 @@ def processor() -> str:
 
 def compiler() -> str:
     """The compiler and the flags it is given."""
-    return f"{find_compiler().version} {' '.join(FLAGS)}"
+    return f"{find_compiler().version} {' '.join((*FLAGS, *NATIVE))}"
 
 
 def per_call(work: Callable[[], object], calls: int) -> float:

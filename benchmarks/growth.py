@@ -82,7 +82,7 @@ def tables() -> Iterator[Table]:
     shipped = [read_spec(path) for path in shipped_specs()]
     yield Table("Shipped controllers", None, "", tuple((0, spec) for spec in shipped))
     planar5 = next(spec for spec in shipped if spec.name == "planar5")
-    sizes = (6, 12, 24) if QUICK else (6, 12, 24, 48, 96)
+    sizes = (6, 12, 24) if QUICK else (6, 12, 24, 48, 96, 192, 384)
     specs = tuple((count, with_points(planar5, count)) for count in sizes)
     yield Table("Points of interest: planar5, 3 obstacles, nsb", "points", NOT_FASTER, specs)
     sizes = (1, 3, 10) if QUICK else (1, 3, 10, 30, 100)

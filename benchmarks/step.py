@@ -4,13 +4,11 @@
 
 Each variant is compiled with its flags and stepped in C, in turn, round after round in one process; medians of the
 rounds. `ns` is a step in a state that stays, `ns new` one in another state every time, in which the processor guesses
-branches wrong. The floor is a model: with what an operation costs on this machine where nothing waits (`rate`) and
-where each waits for the one before (`delay`), a step takes at least
-
-    max( additions · rate, products · rate, divider · rate, longest chain · delay ),
-
-one robot in scalar code, loads, stores and selects for nothing. Instructions are callgrind's, where valgrind is there.
-Then the call from Python, and a rollout.
+branches wrong. The floor is a model: additions, products, quotients and roots, each at what it costs on this machine
+where nothing waits (`rate`), one after the other, one robot in scalar code; loads, stores and selects for nothing. No
+step can be faster than its longest chain, in which each waits for the one before (`delay`); one that keeps all units
+of the processor busy at once would take the greatest of these alone. Instructions are callgrind's, where valgrind is
+there, and without the vectors of this processor. Then the call from Python, and a rollout.
 """
 
 import json
@@ -33,7 +31,7 @@ import textbook
 from common import compiler, machine, per_call
 from numpy.typing import NDArray
 
-from clikgen.runtime.compiler import FLAGS, find_compiler
+from clikgen.runtime.compiler import FLAGS, NATIVE, find_compiler
 from clikgen.runtime.controller import CompiledController
 from clikgen.runtime.scenario import CASES, find_scenario, read_scenario
 from clikgen.runtime.simulation import Run, prepare
@@ -67,7 +65,7 @@ class Variant:
 
 @dataclass(frozen=True, slots=True)
 class Floor:
-    """The model's bounds [ns]."""
+    """What the model counts [ns]."""
 
     additions: float
     products: float
@@ -76,6 +74,11 @@ class Floor:
 
     @property
     def ns(self) -> float:
+        """One after the other."""
+        return self.additions + self.products + self.divider
+
+    @property
+    def at_once(self) -> float:
         return max(self.additions, self.products, self.divider, self.chain)
 
 
@@ -83,12 +86,12 @@ def variants(controller: Controller) -> Iterator[Variant]:
     spec, function = controller.spec, controller.functions[-1]
     if spec.name == "planar5":
         yield Variant("the paper's formulas, CasADi's C, plain flags", _by_casadi(textbook.step(spec, function)), PLAIN)
-    by_casadi = _by_casadi(function.casadi)
+    by_casadi = _by_casadi(function.procedure.unrolled(lambda _: True).casadi())
     yield Variant("CasADi's C, plain flags", by_casadi, PLAIN)
-    yield Variant("CasADi's C, our flags", by_casadi, FLAGS)
+    yield Variant("CasADi's C, our flags", by_casadi, (*FLAGS, *NATIVE))
     ours = generate(spec)
     header, source = ours[f"{spec.name}.h"], ours[f"{spec.name}.c"]
-    yield Variant("ours", source.replace(f'#include "{spec.name}.h"', header), FLAGS)
+    yield Variant("ours", source.replace(f'#include "{spec.name}.h"', header), (*FLAGS, *NATIVE))
 
 
 def _by_casadi(function: ca.Function) -> str:
@@ -195,7 +198,7 @@ def _collected(folder: Path, times: int) -> int:
 
 def floor(controller: Controller, rate: dict[str, float], delay: dict[str, float]) -> Floor:
     """The model for a step whose loops are all written out."""
-    graph = controller.functions[-1].procedure.straightened().graph()
+    graph = controller.functions[-1].procedure.unrolled(lambda _: True).graph()
     needed = graph.needed()
     count = Counter(CHAINS[graph.nodes[i].operation] for i in needed if graph.nodes[i].operation in CHAINS)
     angles = {graph.nodes[i].arguments for i in needed if graph.nodes[i].operation in ("sin", "cos")}
@@ -283,13 +286,19 @@ def main() -> None:
         document["ns of an operation"] = {"rate": rate, "delay": delay}
         if not written:
             print(f"{document['machine']}\n{document['compiler']}\nmedians of {ROUNDS} rounds\n")
-        for controller in (build(spec) for spec in specs if spec.name in ("planar5", "arm7")):
+        chosen = {spec.name: spec for spec in specs if spec.name in ("planar5", "arm7")}
+        many = growth.with_obstacles(chosen["planar5"], 100)
+        for controller in map(build, (*chosen.values(), many)):
             folder = Path(place) / controller.spec.name
             folder.mkdir()
             rows, least = measured(controller, folder), floor(controller, rate, delay)
             document[controller.spec.name] = {
                 "variants": [dict(zip(("name", "ns", "ns new", "instructions"), row, strict=True)) for row in rows],
-                "floor": {"ns": least.ns, **{key: getattr(least, key) for key in least.__slots__}},
+                "floor": {
+                    "ns": least.ns,
+                    "at once": least.at_once,
+                    **{key: getattr(least, key) for key in least.__slots__},
+                },
             }
             if not written:
                 report(controller.spec.name, rows, least)
@@ -309,7 +318,10 @@ def report(name: str, rows: list[tuple[str, float, float, float | None]], least:
         counted = f"{count:14.0f}" if count is not None else f"{'':>14}"
         print(f"{title:<50}{ns:8.0f}{ns / ours[1]:9.2f}{ns_new:9.0f}{ns_new / ours[2]:9.2f}{counted}")
     bounds = ", ".join(f"{key} {getattr(least, key):.0f}" for key in least.__slots__)
-    print(f"{'floor: ' + bounds:<50}{least.ns:8.0f}   ours is {ours[1] / least.ns:.2f} times it\n")
+    print(f"{'floor: ' + bounds:<50}{least.ns:8.0f}   ours is {ours[1] / least.ns:.2f} times it")
+    print(
+        f"{'all at once, the longest chain included':<50}{least.at_once:8.0f}   {ours[1] / least.at_once:.2f} times\n"
+    )
 
 
 if __name__ == "__main__":

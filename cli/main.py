@@ -6,7 +6,7 @@ from typing import NoReturn
 
 import typer
 
-from clikgen.cli import analyse, compare, demo, doctor, generate, inspect, listing, new, simulate, view
+from clikgen.cli import analyse, compare, demo, doctor, generate, inspect, listing, new, simulate, sweep, view
 from clikgen.runtime.documents import BadInput
 
 app = typer.Typer(
@@ -22,6 +22,7 @@ app.command("inspect")(inspect.command)
 app.command("new")(new.command)
 app.command("simulate")(simulate.command)
 app.command("compare")(compare.command)
+app.command("sweep")(sweep.command)
 app.command("view")(view.command)
 app.add_typer(analyse.app, name="analyse")
 app.command("list")(listing.command)

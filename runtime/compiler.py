@@ -31,8 +31,8 @@ FLAGS = (
     "-DCLIKGEN_OPENMP",
 )
 
-# For loops over robots: as wide vectors as this processor has. They change no result either.
-NATIVE = ("-O3", "-march=native", "-fopenmp-simd")
+# For what runs here: as wide vectors as this processor has. They change no result either.
+NATIVE = ("-O3", "-march=native")
 
 
 @dataclass(frozen=True, slots=True)

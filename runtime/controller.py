@@ -12,7 +12,7 @@ import cffi
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from clikgen.runtime.compiler import Compiler, compile_library, find_compiler, library_path
+from clikgen.runtime.compiler import NATIVE, Compiler, compile_library, find_compiler, library_path
 from clikgen.runtime.documents import BadInput, choices
 from clikgen.runtime.manifest import FunctionInfo, Manifest, SignalInfo, load_manifest
 
@@ -160,7 +160,7 @@ class CompiledController:
         ffi = cffi.FFI()
         ffi.include(_ffi)
         ffi.cdef(_CALLS + "".join(_FUNCTION.format(info.symbol) for info in manifest.functions))
-        path = compile_library(_sources(folder, manifest), compiler)
+        path = compile_library(_sources(folder, manifest), compiler, NATIVE)
         try:
             library = ffi.dlopen(str(path))
         except OSError as error:
@@ -240,7 +240,7 @@ def _sources(folder: Path, manifest: Manifest) -> list[Path]:
 
 def is_compiled(folder: Path) -> bool:
     """Whether the cache holds the controller of this folder, for the compiler in use; raises BadInput."""
-    return library_path(_sources(folder, load_manifest(folder)), find_compiler()).exists()
+    return library_path(_sources(folder, load_manifest(folder)), find_compiler(), NATIVE).exists()
 
 
 def find_controller(name_or_folder: str | Path) -> Path:

@@ -21,9 +21,12 @@
 #endif
 
 /* These functions stand on rounding as C99 has it and on NaN; flags that give either up are refused where they show.
- * gcc's all do. Of clang's, -funsafe-math-optimizations and -fassociative-math do not, hence the pragma. */
+ * From gcc 12 on all do. Of clang's, -funsafe-math-optimizations and -fassociative-math do not, hence the pragma. */
 #if defined __FAST_MATH__ || defined __ASSOCIATIVE_MATH__ || (defined __FINITE_MATH_ONLY__ && __FINITE_MATH_ONLY__)
 #error "clikgen: compile without -ffast-math, -Ofast, -funsafe-math-optimizations and -ffinite-math-only"
+#endif
+#if defined __FLT_EVAL_METHOD__ && (__FLT_EVAL_METHOD__ < 0 || __FLT_EVAL_METHOD__ == 2) && !defined __STRICT_ANSI__
+#error "clikgen: the x87 keeps digits that C99 drops: compile with -std=c99 or -msse2 -mfpmath=sse"
 #endif
 #if defined __clang__ && __clang_major__ >= 11
 #pragma clang fp reassociate(off)
@@ -46,9 +49,9 @@ static inline double clikgen_real(uint64_t x) {
 /* Sine and cosine of x [rad] to 1.8e-16 for |x| <= 1e6; NaN from 2^30 on. */
 static inline void clikgen_sincos(double x, double *sine, double *cosine) {
   const double shift = 6755399441055744.0; /* 1.5 * 2^52: a sum with it is a whole number */
-  const double turns = x * 0.6366197723675814 + shift;
-  const double n = turns - shift; /* quarter turns */
-  const double fence = x * 0x1p+994 * 0.0; /* infinity times 0, NaN, from 2^30 on; else 0 */
+  const uint64_t quadrant = clikgen_bits(x * 0.6366197723675814 + shift); /* in its last two bits */
+  const double n = clikgen_real(quadrant) - shift; /* quarter turns */
+  const double away = x * 0x1p+994, fence = away * 0.0; /* from 2^30 on infinite, and NaN; else 0 */
   /* pi/2 in two parts: the first has 31 bits, so that n times it is exact. */
   const double r = (x - n * 0x1.921fb544p+0) - (n * 0x1.0b4611a626331p-34 + fence); /* |r| <= pi/4 */
   const double z = r * r, z2 = z * z, z4 = z2 * z2;
@@ -60,7 +63,6 @@ static inline void clikgen_sincos(double x, double *sine, double *cosine) {
                    z4 * (2.0875729281370876e-09 + z * -1.1359934243820215e-11);
   const uint64_t s = clikgen_bits(r + (r * z) * p); /* sin r */
   const uint64_t c = clikgen_bits((1.0 - 0.5 * z) + z2 * q); /* cos r */
-  const uint64_t quadrant = clikgen_bits(turns); /* in its last two bits */
   const uint64_t swap = (s ^ c) & (0 - (quadrant & 1));
   const uint64_t sign = UINT64_C(1) << 63;
   *sine = clikgen_real(s ^ swap ^ ((quadrant << 62) & sign));

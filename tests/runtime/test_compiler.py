@@ -12,6 +12,7 @@ import pytest
 
 from clikgen.runtime import compiler as compiler_module
 from clikgen.runtime.compiler import (
+    NATIVE,
     Compiler,
     available_compilers,
     cache_folder,
@@ -274,7 +275,7 @@ def test_two_processes_compile_into_an_empty_cache_at_once(source, cache, tmp_pa
 def test_a_library_that_cannot_be_loaded_is_a_bad_input_that_names_it(planar5_folder, cache):
     # compiled but not loaded: the linker would answer from memory otherwise
     calls = Path(str(resources.files("clikgen.runtime"))) / "calls.c"
-    library = compile_library([planar5_folder / "planar5.c", calls])
+    library = compile_library([planar5_folder / "planar5.c", calls], extra=NATIVE)
     library.write_bytes(b"not a library")
     with pytest.raises(BadInput, match=f"{library.name}: cannot be loaded, delete it"):
         CompiledController.load(planar5_folder)
