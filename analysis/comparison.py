@@ -7,8 +7,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from clikgen.analysis.metrics import ENCOUNTER_GAP, encounters, metrics, outside_limits
+from clikgen.analysis.metrics import encounters, metrics, outside_limits
 from clikgen.analysis.summary import UNITS, simulation_document
+from clikgen.runtime.batch import ENCOUNTER_GAP
 from clikgen.runtime.controller import CompiledController
 from clikgen.runtime.documents import BadInput, choices
 from clikgen.runtime.manifest import FAR, Manifest

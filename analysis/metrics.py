@@ -8,14 +8,13 @@ from numpy.typing import NDArray
 from scipy.signal import find_peaks, welch
 from scipy.spatial import KDTree
 
+from clikgen.runtime.batch import ENCOUNTER_GAP, WINDOW
 from clikgen.runtime.documents import BadInput
 from clikgen.runtime.manifest import FAR
 from clikgen.runtime.simulation import Rollout
 
 Array = NDArray[np.float64]
 
-WINDOW = 2.0  # [s] length of a Welch segment: the PSD resolves 0.5 Hz
-ENCOUNTER_GAP = 0.5  # [s] contacts nearer than this to each other are one encounter
 SETTLING = 1.0  # [s] after an encounter the motion still counts as part of it
 
 

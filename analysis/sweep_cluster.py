@@ -39,6 +39,7 @@ def cluster_tables(
     Raises BadInput where the scheduler is not there, is lost, or a worker cannot do it.
     """
     from distributed import Client, as_completed
+    from distributed.client import ClosedClientError
 
     for name in ("distributed", "distributed.client"):  # what they log is raised, in one line
         logging.getLogger(name).setLevel(logging.CRITICAL)
@@ -51,36 +52,44 @@ def cluster_tables(
         parcel = client.submit(bytes, _packed(source, sweep), pure=False)  # a task, so that it can be made anew
 
         def submit(chunk: int) -> Any:
-            future = client.submit(_table, parcel, chunk, pure=False, retries=RETRIES)
+            try:
+                future = client.submit(_table, parcel, chunk, pure=False, retries=RETRIES)
+            except ClosedClientError:
+                raise _lost(address) from None
             numbers[future] = chunk
             return future
 
         done = as_completed([submit(chunk) for chunk in itertools.islice(waiting, AHEAD)], loop=client.loop)
         for future in done:
             chunk = numbers.pop(future)
-            if future.status == "finished":
+            try:
                 table = future.result()
+            except Exception as error:  # the worker's, or that of a connection that broke meanwhile
+                if future.status != "error":
+                    raise _lost(address) from None
+                deaths[chunk] += 1
+                _check_worth_trying(error, address, chunk, deaths[chunk])
+                following: int | None = chunk
+            else:
                 if progress:
                     progress(len(table))
                 yield chunk, table
                 following = next(waiting, None)
-            else:
-                deaths[chunk] += 1
-                _check_worth_trying(future, address, chunk, deaths[chunk])
-                following = chunk
             if following is not None:
                 done.add(submit(following))
 
 
-def _check_worth_trying(future: Any, address: str, chunk: int, deaths: int) -> None:
+def _check_worth_trying(error: Exception, address: str, chunk: int, deaths: int) -> None:
     """Raises BadInput, in one line, unless a chunk was given up only because its workers were lost."""
     from distributed import KilledWorker
 
-    if future.status != "error":
-        raise BadInput(f"--scheduler: {address} is lost; run the same command again to go on")
-    error = future.exception()
     if not isinstance(error, KilledWorker) or deaths > DEATHS:
-        raise BadInput(f"--scheduler: a worker of {address} failed at chunk {chunk}: {error or type(error).__name__}")
+        said = BadInput(f"--scheduler: a worker of {address} failed at chunk {chunk}: {error or type(error).__name__}")
+        raise said from None
+
+
+def _lost(address: str) -> BadInput:
+    return BadInput(f"--scheduler: {address} is lost; run the same command again to go on")
 
 
 # ---- What travels ----

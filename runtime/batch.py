@@ -35,8 +35,8 @@ METRICS = (
 )
 """What can be measured, defined as for a single rollout; `diverged_at` [s] is infinite where a rollout never did."""
 
-WINDOW = 2.0  # [s] length of a Welch segment, as for a single rollout
-ENCOUNTER_GAP = 0.5  # [s] contacts nearer than this to each other are one encounter, as for a single rollout
+WINDOW = 2.0  # [s] length of a Welch segment: the PSD resolves 0.5 Hz
+ENCOUNTER_GAP = 0.5  # [s] contacts nearer than this to each other are one encounter
 LEAST_PROMINENCE = 1e-12  # of a turning point, whatever the dead-band
 LANES = 16  # rollouts side by side, where the generated code does not say how many
 ALIGNMENT = 64  # [bytes] of what vectors are loaded from

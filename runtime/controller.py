@@ -129,7 +129,8 @@ def _buffer(signal: SignalInfo) -> Array:
 
 
 def _pointers(buffers: Mapping[str, Array], length: int) -> list[Any]:
-    pointers = [_ffi.from_buffer("double *", buffer.data) for buffer in buffers.values()]
+    # plain addresses: the arrays are kept by whoever made them, and buffers of cffi have crashed in garbage collection
+    pointers = [_ffi.cast("double *", buffer.ctypes.data) for buffer in buffers.values()]
     return pointers + [_ffi.NULL] * (length - len(pointers))
 
 

@@ -1,5 +1,6 @@
 """C99 text from procedures: scalar functions in double or float, and steps of many robots at once."""
 
+import math
 import re
 from collections import Counter
 from collections.abc import Iterator, Sequence
@@ -9,6 +10,7 @@ from typing import Literal
 
 from clikgen.symbolic import elementary
 from clikgen.symbolic.graph import CONDITIONS, Graph, Node
+from clikgen.symbolic.least_squares import ROUNDING
 from clikgen.symbolic.program_code import program_call
 from clikgen.symbolic.quadratic_program import Solution
 from clikgen.symbolic.stage import Loop, Procedure
@@ -24,7 +26,13 @@ PREAMBLE = """\
 #define CLIKGEN_SIMD
 #endif
 """
-WIDEST = 88  # characters of an expression; a longer one is given a name
+WIDEST = 56  # characters of an expression; a longer one is given a name
+IN_FLOAT = {ROUNDING: 2.0**-17, -ROUNDING: -(2.0**-17)}
+"""Constants that stand for rounding in double, and what stands for it in single precision: 64 times 2^-23."""
+
+LEAST_FLOAT = (
+    1e-30  # a constant that keeps zero away is no nearer to it: its square is not zero, its inverse not infinite
+)
 _BINARY = {"add": ("+", 4), "sub": ("-", 4), "mul": ("*", 5), "div": ("/", 5)}
 _RELATION = {"lt": "<", "le": "<=", "eq": "==", "ne": "!="}
 _JOINED = {"and": "&", "or": "|"}
@@ -214,13 +222,13 @@ class Block:
             for array, column in zip(results, columns[loop.carried :], strict=True):
                 for r, i in enumerate(column):
                     body.line(f"{_column(array, k).at(r)} = {body.value(i)};")
-            changed = [
-                (mine, new if body.is_name(new) else body.named(new))
-                for own, news in zip(carried, onward, strict=True)
-                for mine, new in zip(own, news, strict=True)
-                if mine != new
+            pairs = [pair for own, news in zip(carried, onward, strict=True) for pair in zip(own, news, strict=True)]
+            moved = [(mine, new) for mine, new in pairs if mine != new]
+            before = {mine for mine, _ in moved}  # which are not what they were once the first is assigned
+            ready = [
+                (mine, new if new.isidentifier() and new not in before else body.named(new)) for mine, new in moved
             ]
-            for mine, new in changed:
+            for mine, new in ready:
                 body.line(f"{mine} = {new};")
         self.given += [Scalars(tuple(map(Text, column))) for column in carried]
         self.given += results
@@ -272,10 +280,6 @@ class Block:
         self.line(f"const {kind or self.names.real} {name} = {value};")
         return name
 
-    def is_name(self, text: str) -> bool:
-        """Whether that is a variable or a constant."""
-        return text.isidentifier()
-
     def _text(self, root: int) -> Text:
         for i in self._missing(root):
             if i not in self._known:
@@ -294,9 +298,10 @@ class Block:
 
     def constant(self, value: float) -> str:
         """A constant, exact to the last bit."""
-        text = repr(value)
         if self.names.real == "double":
-            return text
+            return repr(value)
+        value = IN_FLOAT.get(value, value)
+        text = repr(math.copysign(max(abs(value), LEAST_FLOAT), value) if value else value)
         return f"{text if set(text) & set('.en') else text + '.0'}f"
 
     def _kept(self, i: int, text: Text) -> Text:

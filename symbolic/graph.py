@@ -150,7 +150,8 @@ class Graph:
 
     def _operation(self, code: int, arguments: Sequence[int]) -> int:
         if code in SHORT_FORMS:
-            return SHORT_FORMS[code](self, [arguments[0], *map(self.real, arguments[1:])])
+            first = arguments[0] if code in (ca.OP_IF_ELSE_ZERO, ca.OP_ASSIGN) else self.real(arguments[0])
+            return SHORT_FORMS[code](self, [first, *map(self.real, arguments[1:])])
         if code not in _OPERATIONS:
             raise ValueError(f"no C for CasADi's operation {code}")
         operation = _OPERATIONS[code]

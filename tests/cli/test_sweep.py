@@ -207,7 +207,7 @@ def test_scheduler_that_is_lost_is_one_line_and_threads_go_on(cluster, sweep, un
     wait_for_parts(process, folder, 2)
     cluster.close()
     _, complained = process.communicate()
-    assert process.returncode == 2
+    assert process.returncode == 2, complained
     assert len(complained.strip().splitlines()) == 1, complained
     assert "is lost; run the same command again" in complained
     kept = len(parts(folder))
