@@ -4,7 +4,7 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: demo test bench growth laws chatter clean
+.PHONY: demo test bench batch peers growth laws chatter clean
 
 demo: $(VENV)/ready
 	$(BIN)/clikgen demo
@@ -19,6 +19,12 @@ test: $(VENV)/ready
 
 bench: $(VENV)/ready
 	$(BIN)/python benchmarks/step.py
+
+batch: $(VENV)/ready
+	$(BIN)/python benchmarks/batch.py
+
+peers: $(VENV)/ready
+	$(BIN)/python benchmarks/peers.py
 
 growth: $(VENV)/ready
 	$(BIN)/python benchmarks/growth.py

@@ -26,7 +26,7 @@ from clikgen.symbolic.variants import with_activation
 Array = NDArray[np.float64]
 LAWS = ("switched", "hysteresis", "ramp", "damped", "barrier")
 STATES = 120  # of the scenario, evenly spread
-REPEATS = 400  # of one state in C, per round
+REPEATS = 10_000  # of one state in C, per round
 ROUNDS = 7
 RANDOM = 200_000  # states among which the worst one is looked for
 

@@ -9,6 +9,7 @@ import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from dataclasses import dataclass
+from functools import lru_cache
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -334,11 +335,17 @@ def _engine(controller: CompiledController) -> _Engine:
     if manifest.lanes is None:
         return _Engine(engine, lanes, _ffi.NULL, None)
     source = controller.folder / f"{manifest.controller}_lanes.c"
+    symbol = f"{manifest.controller}_step_lanes"
+    library = _library(_declaring(symbol), compile_library([source], compiler, NATIVE))
+    return _Engine(engine, lanes, _ffi.cast("void *", getattr(library, symbol)), library)
+
+
+@lru_cache
+def _declaring(symbol: str) -> cffi.FFI:
+    """What knows a step of many robots by this name; making it costs as much as a short batch."""
     ffi = cffi.FFI()
-    ffi.cdef(f"void {manifest.controller}_step_lanes(const double *const *, double *const *);")
-    library = _library(ffi, compile_library([source], compiler, NATIVE))
-    step_lanes = _ffi.cast("void *", getattr(library, f"{manifest.controller}_step_lanes"))
-    return _Engine(engine, lanes, step_lanes, library)
+    ffi.cdef(f"void {symbol}(const double *const *, double *const *);")
+    return ffi
 
 
 def _library(ffi: Any, path: Path) -> Any:

@@ -42,28 +42,42 @@ class CompiledFunction:
         self._library = library
         self.inputs = MappingProxyType({signal.name: _buffer(signal) for signal in info.inputs})
         self.outputs = MappingProxyType({signal.name: _buffer(signal) for signal in info.outputs})
-        self._wanted = {name: (buffer.__setitem__, buffer.shape) for name, buffer in self.inputs.items()}
+        buffers: list[tuple[str, Any]] = list(self.inputs.items())
+        self._vectors = {name: memoryview(buffer) for name, buffer in buffers if buffer.ndim == 1}
+        self._others = {name: (buffer, buffer.shape) for name, buffer in buffers if buffer.ndim != 1}
         self._own, self._kept = self._evaluation(self.inputs, self.outputs)
         self.evaluate: Callable[[], int] = partial(library.clikgen_evaluate, self._own)
         """Evaluate once, from `inputs` into `outputs`."""
 
-    def __call__(self, **values: ArrayLike) -> Mapping[str, Array]:
+    def __call__(self, **values: Any) -> Mapping[str, Array]:
         """Evaluate once, after copying `values` into the inputs they name; an input not named keeps its value.
 
         Raises ValueError for an unknown name or a shape other than the manifest's: a scalar would otherwise
         fill a whole vector in silence.
         """
-        wanted = self._wanted
+        vectors, others = self._vectors, self._others
         for name, value in values.items():
-            if name not in wanted:
-                raise ValueError(f"{self.info.symbol}: no input '{name}'; {choices(name, self.inputs)}")
-            put, shape = wanted[name]
-            array = value if type(value) is np.ndarray else np.asarray(value)
-            if array.shape != shape:
-                raise ValueError(f"{name} must have shape {shape} for {self.info.symbol}, got {array.shape}")
-            put(..., array)
+            try:
+                if name in vectors:
+                    vectors[name][:] = value  # refuses another type or shape, and is the fastest copy there is
+                    continue
+                buffer, shape = others[name]
+                if value.shape == shape:
+                    buffer[...] = value
+                    continue
+            except (AttributeError, KeyError, TypeError, ValueError):
+                pass
+            self._write(name, value)
         self.evaluate()
         return self.outputs
+
+    def _write(self, name: str, value: ArrayLike) -> None:
+        if name not in self.inputs:
+            raise ValueError(f"{self.info.symbol}: no input '{name}'; {choices(name, self.inputs)}")
+        buffer, array = self.inputs[name], np.asarray(value)
+        if array.shape != buffer.shape:
+            raise ValueError(f"{name} must have shape {buffer.shape} for {self.info.symbol}, got {array.shape}")
+        buffer[...] = array
 
     @property
     def pointer(self) -> Any:

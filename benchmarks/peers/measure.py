@@ -133,7 +133,7 @@ def all_candidates(both: Sequence[Robot], place: Path, missing: dict[str, str]) 
         yield from ours_in_python(robot)
         yield native_candidate(OURS_IN_C, robot, "ours", "C", ours_in_c[robot.name])
     for robot in both:
-        yield in_numpy(robot)
+        yield from in_numpy(robot)
         yield from in_cpp(robot, loop, missing)
         yield from libraries(robot, place, missing)
 
@@ -163,14 +163,16 @@ def in_python(
     return Candidate(name, robot.name, law, "Python", "the law", runner, results=results, at_random=at_random)
 
 
-def in_numpy(robot: Robot) -> Candidate:
-    law = LAWS[robot.name](robot)
+def in_numpy(robot: Robot) -> Iterator[Candidate]:
+    def candidate(name: str, law: Any) -> Candidate:
+        def results() -> Array:
+            items = zip(robot.random.q, robot.random.items(), strict=True)
+            return np.array([np.concatenate([law.step(q, *item), law.results()]) for q, item in items])
 
-    def results() -> Array:
-        items = zip(robot.random.q, robot.random.items(), strict=True)
-        return np.array([np.concatenate([law.step(q, *item), law.results()]) for q, item in items])
+        return in_python(name, robot, "same", law.step, results)
 
-    return in_python("Pinocchio + numpy", robot, "same", law.step, results)
+    for name, law in LAWS[robot.name].items():
+        yield candidate(name, law(robot))
 
 
 def native_candidate(name: str, robot: Robot, law: str, language: str, step: native.Native) -> Candidate:

@@ -40,10 +40,10 @@ def planar5_in_place(robot: Robot, evaluate: Callable[[], object]) -> Step:
     q_next = robot.controller.step.outputs["q_next"]
 
     def taken(q: Array, reference: Array, velocity: Array, centers: Array) -> Array:
-        q_in[:] = q
-        reference_in[:] = reference
-        velocity_in[:] = velocity
-        centers_in[:] = centers
+        q_in[...] = q
+        reference_in[...] = reference
+        velocity_in[...] = velocity
+        centers_in[...] = centers
         evaluate()
         return q_next
 
@@ -74,11 +74,11 @@ def arm7_in_place(robot: Robot, evaluate: Callable[[], object]) -> Step:
     q_next = robot.controller.step.outputs["q_next"]
 
     def taken(q: Array, reference: Array, velocity: Array, orientation: Array, turning: Array) -> Array:
-        q_in[:] = q
-        reference_in[:] = reference
-        velocity_in[:] = velocity
-        orientation_in[:] = orientation
-        turning_in[:] = turning
+        q_in[...] = q
+        reference_in[...] = reference
+        velocity_in[...] = velocity
+        orientation_in[...] = orientation
+        turning_in[...] = turning
         evaluate()
         return q_next
 

@@ -1,7 +1,7 @@
-"""The laws of planar5 and of arm7 with Pinocchio and numpy, as their users write them.
+"""The laws of planar5 and of arm7 with Pinocchio and numpy: as the formulas stand, and written to be fast.
 
-Data and arrays are made once, what is constant is worked out beforehand, numpy works on all points and obstacles at
-once, Jacobians are asked for in contact only, and systems are solved by LAPACK without a check on the way.
+Fast: data and arrays are made once, what is constant is worked out beforehand, numpy works on all points and obstacles
+at once, Jacobians are asked for in contact only, and systems are solved by LAPACK without a check on the way.
 """
 
 import math
@@ -78,6 +78,45 @@ class Planar5:
         return np.concatenate([self.dq, self.dq_law, *scalars, self.distance, [self.clearance]])
 
 
+class PlainPlanar5(Planar5):
+    """The same as the formulas stand: pseudo-inverses, projectors, a loop over the points."""
+
+    def step(self, q: Array, reference: Array, reference_velocity: Array, centers: Array) -> Array:
+        """The next q (5,); what else there is to know stays here."""
+        model, data = self.model, self.data
+        pin.forwardKinematics(model, data, q)
+        pin.computeJointJacobians(model, data)
+        pin.updateFramePlacements(model, data)
+        self.position = data.oMf[self.frames[5]].translation[:2]
+        J_g = pin.getFrameJacobian(model, data, self.frames[5], WORLD)[:2]
+        self.error = reference - self.position
+        dq_g = damped_inverse(J_g, self.tool_damping) @ (reference_velocity + self.tool_gain * self.error)
+
+        self.distance, self.potential, J_o = np.zeros(6), 0.0, np.zeros((1, 5))
+        for i, frame in enumerate(self.frames):
+            toward = centers - data.oMf[frame].translation[:2]
+            distances = np.linalg.norm(toward, axis=1) - RADII
+            k = int(np.argmin(distances))
+            self.distance[i] = distances[k]
+            depth = INFLUENCE[i] - distances[k]
+            if depth > 0:
+                normal = toward[k] / np.linalg.norm(toward[k])
+                J_o += depth * normal @ pin.getFrameJacobian(model, data, frame, WORLD)[:2]
+                self.potential += 0.5 * depth**2
+        self.clearance = float(np.min(self.distance - INFLUENCE))
+        self.active = self.clearance <= 0
+        inverse = damped_inverse(J_o, self.damping)
+        projector = np.eye(5) - inverse @ J_o
+        self.dq_law = inverse @ np.array([-self.gain * self.potential]) + projector @ dq_g
+        self.dq = (self.beta if self.active else 1.0) * self.dq_law
+        return q + self.period * self.dq
+
+
+def damped_inverse(J: Array, damping: float) -> Array:
+    """Jᵀ (J Jᵀ + damping² I)⁻¹."""
+    return J.T @ np.linalg.inv(J @ J.T + damping**2 * np.eye(len(J)))
+
+
 class Arm7:
     """The pose of the hand above a posture, Euler step."""
 
@@ -118,4 +157,29 @@ class Arm7:
         return np.concatenate([self.dq, self.dq_law, self.position, quaternion, self.error, self.turn])
 
 
-LAWS = {"planar5": Planar5, "arm7": Arm7}
+class PlainArm7(Arm7):
+    """The same as the formulas stand."""
+
+    def step(self, q: Array, reference: Array, velocity: Array, orientation: Array, angular_velocity: Array) -> Array:
+        """The next q (7,); what else there is to know stays here."""
+        model, data = self.model, self.data
+        pin.forwardKinematics(model, data, q)
+        pin.computeJointJacobians(model, data)
+        pin.updateFramePlacements(model, data)
+        pose = data.oMf[self.frame]
+        J = pin.getFrameJacobian(model, data, self.frame, WORLD)
+        w, x, y, z = orientation
+        self.error = reference - pose.translation
+        self.turn = pin.log3(pin.Quaternion(w, x, y, z).normalized().matrix() @ pose.rotation.T)
+        wanted = np.concatenate([velocity, angular_velocity])
+        wanted = wanted + self.hand_gain * np.concatenate([self.error, self.turn])
+        inverse = damped_inverse(J, self.hand_damping)
+        self.dq = inverse @ wanted + (np.eye(7) - inverse @ J) @ (self.posture_gain * (HOME - q))
+        self.dq_law = self.dq
+        return q + self.period * self.dq
+
+
+LAWS = {
+    "planar5": {"Pinocchio + numpy as written": PlainPlanar5, "Pinocchio + numpy made fast": Planar5},
+    "arm7": {"Pinocchio + numpy as written": PlainArm7, "Pinocchio + numpy made fast": Arm7},
+}

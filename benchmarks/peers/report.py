@@ -49,7 +49,7 @@ def lines(document: Row) -> Iterator[str]:
 
 
 def number(value: float | None, digits: int = 3) -> str:
-    return "" if value is None else f"{value:.{digits}g}" if value < 1000 else f"{value:.0f}"
+    return "" if value is None else f"{value:.{digits}g}" if value < 999.5 else f"{value:.0f}"
 
 
 STEP_COLUMNS = {

@@ -40,7 +40,7 @@ from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 from pycparser import c_ast, c_generator, c_parser
 
-from clikgen.runtime.compiler import available_compilers, compile_library, find_compiler
+from clikgen.runtime.compiler import FLAGS, available_compilers, compile_library, find_compiler
 from clikgen.runtime.controller import CompiledController
 from clikgen.runtime.manifest import load_manifest
 from clikgen.symbolic.controller import build
@@ -718,6 +718,27 @@ def test_c_compiles_without_a_warning_that_takes_optimization_to_see(name, targe
     source = files(name, target) / f"{name}.c"
     outcome = run([*command, *STRICT, "-Werror", *SIDE_BY_SIDE, "-O2", "-c", "-o", tmp_path / "object.o", source])
     assert outcome.returncode == 0, outcome.stderr
+
+
+# processor -> flags, and a product of whole vectors in its assembly
+VECTORS = {
+    "x86_64": (["-mavx2"], r"\bvmulpd\s.*%ymm"),
+    "aarch64": ([], r"\bfmul\s+v\d+\.2d"),
+}
+
+
+@pytest.mark.parametrize("processor", [name for name in VECTORS if name == platform.machine()])
+@pytest.mark.parametrize("command", COMPILERS, ids=lambda command: command[-1])
+@pytest.mark.parametrize("name", SMALL)
+def test_lanes_are_vectors_for_the_compiler(name, command, processor, files, tmp_path):
+    flags, product = VECTORS[processor]
+    source, assembly = files(name, "c") / f"{name}_lanes.c", tmp_path / "lanes.s"
+    common = [flag for flag in FLAGS if flag != "-shared"]
+    outcome = run([*command, *common, "-O3", *flags, "-S", "-o", assembly, source])
+    assert outcome.returncode == 0, outcome.stderr
+    text = assembly.read_text()
+    alone = len(re.findall(r"\bvmulsd\s|\bfmul\s+d\d", text))
+    assert len(re.findall(product, text)) > 10 * max(alone, 1)
 
 
 FAST = ["-ffast-math", "-ffinite-math-only"]
