@@ -721,17 +721,17 @@ def test_c_compiles_without_a_warning_that_takes_optimization_to_see(name, targe
 
 
 # processor -> flags, and a product of whole vectors in its assembly
-VECTORS = {
+PACKED = {
     "x86_64": (["-mavx2"], r"\bvmulpd\s.*%ymm"),
     "aarch64": ([], r"\bfmul\s+v\d+\.2d"),
 }
 
 
-@pytest.mark.parametrize("processor", [name for name in VECTORS if name == platform.machine()])
+@pytest.mark.parametrize("processor", [name for name in PACKED if name == platform.machine()])
 @pytest.mark.parametrize("command", COMPILERS, ids=lambda command: command[-1])
 @pytest.mark.parametrize("name", SMALL)
 def test_lanes_are_vectors_for_the_compiler(name, command, processor, files, tmp_path):
-    flags, product = VECTORS[processor]
+    flags, product = PACKED[processor]
     source, assembly = files(name, "c") / f"{name}_lanes.c", tmp_path / "lanes.s"
     common = [flag for flag in FLAGS if flag != "-shared"]
     outcome = run([*command, *common, "-O3", *flags, "-S", "-o", assembly, source])
