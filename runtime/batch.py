@@ -220,12 +220,12 @@ class _Batch:
 
     def _work(self, plan: "_Plan", first: int, end: int, stop: threading.Event) -> int:
         """Run a chunk, in this thread; how many of its rollouts have all their results now."""
-        library = self.engine.library
-        room = _aligned(library.clikgen_batch_room(plan.pointer))
+        code = self.engine.code
+        room = _aligned(code.clikgen_batch_room(plan.pointer))
         block = _ffi.cast("void *", room.ctypes.data)
-        library.clikgen_batch_open(plan.pointer, block, first, end)
+        code.clikgen_batch_open(plan.pointer, block, first, end)
         while not stop.is_set():
-            left = library.clikgen_batch_advance(plan.pointer, block, self._most)
+            left = code.clikgen_batch_advance(plan.pointer, block, self._most)
             if left < 0:
                 raise RuntimeError(f"{self.controller.step.info.symbol} failed")
             if not left:
@@ -321,7 +321,7 @@ def _segment(steps: int, period: float, f_h: float) -> tuple[int, int]:
 class _Engine:
     """batch.c, compiled for blocks of `lanes` rollouts, and the step of as many at once, null where there is none."""
 
-    library: Any
+    code: Any
     lanes: int
     step_lanes: Any
     kept: Any  # the library that step_lanes is in

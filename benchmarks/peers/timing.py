@@ -72,13 +72,13 @@ class Function:
 class Stateful:
     """A library that knows where it is: `start(q)`, then `advance(*item)` once a period."""
 
-    def __init__(self, library: Any, q: Array, items: Items) -> None:
-        self.library, self.q, self.items = library, q, items
+    def __init__(self, solver: Any, q: Array, items: Items) -> None:
+        self.solver, self.q, self.items = solver, q, items
 
     def along(self, first: int, last: int, laps: int) -> int:
-        advance, items, total = self.library.advance, self.items[first:last], 0
+        advance, items, total = self.solver.advance, self.items[first:last], 0
         for _ in range(laps):
-            self.library.start(self.q[first])
+            self.solver.start(self.q[first])
             start = perf_counter_ns()
             for item in items:
                 advance(*item)
@@ -86,8 +86,8 @@ class Stateful:
         return total
 
     def each(self, first: int, last: int) -> list[int]:
-        advance, ns = self.library.advance, []
-        self.library.start(self.q[first])
+        advance, ns = self.solver.advance, []
+        self.solver.start(self.q[first])
         for item in self.items[first:last]:
             start = perf_counter_ns()
             advance(*item)
@@ -95,11 +95,11 @@ class Stateful:
         return less_clock(ns)
 
     def way(self) -> Array:
-        self.library.start(self.q[0])
+        self.solver.start(self.q[0])
         found = []
         for item in self.items:
-            self.library.advance(*item)
-            found.append(np.array(self.library.q))
+            self.solver.advance(*item)
+            found.append(np.array(self.solver.q))
         return np.array(found)
 
 

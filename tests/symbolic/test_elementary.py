@@ -66,7 +66,7 @@ class Functions:
 
     real: str
     ffi: cffi.FFI
-    library: object
+    compiled: object
 
     @property
     def dtype(self):
@@ -76,7 +76,7 @@ class Functions:
         arrays = [np.ascontiguousarray(one, self.dtype) for one in np.broadcast_arrays(*inputs)]
         results = [np.empty_like(arrays[0]) for _ in range(outputs)]
         pointers = [self.ffi.from_buffer(f"{self.real}[]", one) for one in arrays + results]
-        getattr(self.library, name)(*pointers, arrays[0].size)
+        getattr(self.compiled, name)(*pointers, arrays[0].size)
         return results
 
     def sincos(self, x):
