@@ -24,7 +24,6 @@ import cffi
 import growth
 import numpy as np
 from common import compiler, machine, per_call
-from numpy.typing import NDArray
 
 from clikgen.runtime.batch import METRICS, cores, simulate_batch
 from clikgen.runtime.compiler import FLAGS, find_compiler
@@ -37,7 +36,7 @@ ROLLOUTS, PERIODS = 4096, 400
 SPIN = 20_000_000
 HERE = Path(__file__).parent
 VECTORS = {"SSE2": ("x86-64", "sse2"), "AVX2": ("x86-64-v3", "avx2"), "AVX-512": ("x86-64-v4", "avx512dq")}
-_LOOP = "void *, long, long, int, double **, const long *, double **"
+_LOOP = "long, long, int, double **, const long *, double **"
 SCALAR = "one after the other, -march=native"
 
 Work = Callable[[], object]
@@ -52,39 +51,33 @@ def loop(controller: CompiledController, folder: Path, march: str, lanes: int) -
     sources = (HERE / "batch_loops.c", controller.folder / source)
     subprocess.run([*find_compiler().command, *map(str, sources), *flags, "-o", str(library)], check=True)
     ffi = cffi.FFI()
-    ffi.cdef(f"int {symbol}();" + "".join(f"void {one}({_LOOP});" for one in ("repeat_one", "repeat_lanes")))
+    ffi.cdef(f"int {symbol}(); void repeat(void *, void *, {_LOOP});")
     call, states, blocks = ffi.dlopen(str(library)), growth.states(controller), STATES // lanes
     inputs, strides = [], []
-    for one in info.inputs:
-        own = one.name in states
-        value = np.asarray(states[one.name][:STATES] if own else controller.step.inputs[one.name], dtype=float)
-        rows = np.broadcast_to(value.reshape(-1, one.size), (STATES if own else lanes, one.size))
-        inputs.append(aligned(rows.reshape(-1, lanes, one.size).transpose(0, 2, 1)))
-        strides.append(one.size * lanes if own else 0)
-    outputs = [aligned(np.zeros((one.size, lanes))) for one in info.outputs]
+    for signal in info.inputs:
+        own, size = signal.name in states, signal.size
+        value = np.asarray(states[signal.name][:STATES] if own else controller.step.inputs[signal.name], dtype=float)
+        rows = np.broadcast_to(value.reshape(-1, size), (STATES if own else lanes, size))
+        inputs.append(np.ascontiguousarray(rows.reshape(-1, lanes, size).transpose(0, 2, 1)))
+        strides.append(size * lanes if own else 0)
+    outputs = [np.zeros((signal.size, lanes)) for signal in info.outputs]
     arg, res = (
-        ffi.new("double *[]", [ffi.cast("double *", one.ctypes.data) for one in arrays]) for arrays in (inputs, outputs)
+        ffi.new("double *[]", [ffi.cast("double *", array.ctypes.data) for array in arrays])
+        for arrays in (inputs, outputs)
     )
-    function, repeat = ffi.cast("void *", getattr(call, symbol)), call.repeat_lanes if lanes > 1 else call.repeat_one
+    function = ffi.cast("void *", getattr(call, symbol))
+    one, many = (ffi.NULL, function) if lanes > 1 else (function, ffi.NULL)
     kept = inputs, outputs, ffi
 
     def work() -> object:
-        repeat(function, LAPS, blocks, len(strides), arg, strides, res)
+        call.repeat(one, many, LAPS, blocks, len(strides), arg, strides, res)
         return kept
 
     return work
 
 
-def aligned(values: NDArray[np.float64]) -> NDArray[np.float64]:
-    """A copy that begins where vectors are loaded fastest."""
-    room = np.empty(values.size + 8)
-    start = (-room.ctypes.data // 8) % 8
-    copy = room[start : start + values.size].reshape(values.shape)
-    copy[...] = values
-    return copy
-
-
 def batch(controller: CompiledController, metrics: tuple[str, ...], threads: int) -> None:
+    """ROLLOUTS rollouts of PERIODS steps, the robots around one place, each to a target of its own."""
     rng = np.random.default_rng(4)
     q = np.array([0.0, 0.0, 0.0, 0.6, -0.9]) + rng.uniform(-0.2, 0.2, (ROLLOUTS, 5))
     shared = {"obstacle_center": np.array([[0.8, 0.93], [-1.22, 0.0], [0.2, -0.75]]), "obstacle_count": 3.0}

@@ -5,25 +5,15 @@ typedef void (*step_lanes)(const double *const *arg, double *const *res);
 
 enum { MOST = 64 };
 
-void repeat_one(step_one step, long laps, long times, int inputs, const double **arg, const long *stride,
-                double **res) {
+/* With a step of one robot, or, where that is null, of many. */
+void repeat(step_one one, step_lanes many, long laps, long times, int inputs, const double **arg, const long *stride,
+            double **res) {
   for (long lap = 0; lap < laps; ++lap) {
     const double *at[MOST] = {0};
     for (int i = 0; i < inputs; ++i) at[i] = arg[i];
     for (long k = 0; k < times; ++k) {
-      step(at, res, 0, 0, 0);
-      for (int i = 0; i < inputs; ++i) at[i] += stride[i];
-    }
-  }
-}
-
-void repeat_lanes(step_lanes step, long laps, long times, int inputs, const double **arg, const long *stride,
-                  double **res) {
-  for (long lap = 0; lap < laps; ++lap) {
-    const double *at[MOST] = {0};
-    for (int i = 0; i < inputs; ++i) at[i] = arg[i];
-    for (long k = 0; k < times; ++k) {
-      step(at, res);
+      if (one) one(at, res, 0, 0, 0);
+      else many(at, res);
       for (int i = 0; i < inputs; ++i) at[i] += stride[i];
     }
   }

@@ -6,7 +6,7 @@ from functools import partial
 from importlib import resources
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, Self
+from typing import Any, Self, cast
 
 import cffi
 import numpy as np
@@ -49,14 +49,14 @@ class CompiledFunction:
         self.evaluate: Callable[[], int] = partial(library.clikgen_evaluate, self._own)
         """Evaluate once, from `inputs` into `outputs`."""
 
-    def __call__(self, **values: Any) -> Mapping[str, Array]:
+    def __call__(self, **values: ArrayLike) -> Mapping[str, Array]:
         """Evaluate once, after copying `values` into the inputs they name; an input not named keeps its value.
 
         Raises ValueError for an unknown name or a shape other than the manifest's: a scalar would otherwise
         fill a whole vector in silence.
         """
-        vectors, others = self._vectors, self._others
-        for name, value in values.items():
+        vectors, others, given = self._vectors, self._others, cast(dict[str, Any], values)
+        for name, value in given.items():
             try:
                 if name in vectors:
                     vectors[name][:] = value  # refuses another type or shape, and is the fastest copy there is
@@ -72,6 +72,7 @@ class CompiledFunction:
         return self.outputs
 
     def _write(self, name: str, value: ArrayLike) -> None:
+        """Copy what is not yet an array of doubles in the input's shape; raises ValueError."""
         if name not in self.inputs:
             raise ValueError(f"{self.info.symbol}: no input '{name}'; {choices(name, self.inputs)}")
         buffer, array = self.inputs[name], np.asarray(value)
