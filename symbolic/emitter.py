@@ -30,9 +30,9 @@ WIDEST = 56  # characters of an expression; a longer one is given a name
 IN_FLOAT = {ROUNDING: 2.0**-17, -ROUNDING: -(2.0**-17)}
 """Constants that stand for rounding in double, and what stands for it in single precision: 64 times 2^-23."""
 
-LEAST_FLOAT = (
-    1e-30  # a constant that keeps zero away is no nearer to it: its square is not zero, its inverse not infinite
-)
+LEAST_FLOAT = 1e-30
+"""A constant that keeps zero away is no nearer to it in single precision: its inverse is not infinite."""
+
 _BINARY = {"add": ("+", 4), "sub": ("-", 4), "mul": ("*", 5), "div": ("/", 5)}
 _RELATION = {"lt": "<", "le": "<=", "eq": "==", "ne": "!="}
 _JOINED = {"and": "&", "or": "|"}
@@ -41,7 +41,7 @@ _ATOM, _SIGN = 9, 6
 
 @dataclass(frozen=True, slots=True)
 class Text:
-    """An expression of C and how tightly it binds."""
+    """An expression of C and how tightly it binds: from 1, a choice, to _ATOM, a name or a number."""
 
     text: str
     level: int = _ATOM
@@ -55,7 +55,7 @@ class Text:
 class Array:
     """A matrix in memory, `rows` high, whose entries are counted column by column.
 
-    Entry (r, i) is at name[offset + r * row_stride + i * column_stride], all of it times `width`, plus `lane`.
+    Entry (r, i) is at name[offset + r * row_stride + i * column_stride + column], and that is put into `lanes`.
     """
 
     name: str
