@@ -32,7 +32,7 @@ from common import compiler, machine, per_call
 from numpy.typing import NDArray
 
 from clikgen.runtime.compiler import FLAGS, NATIVE, find_compiler
-from clikgen.runtime.controller import CompiledController
+from clikgen.runtime.controller import CompiledController, CompiledFunction
 from clikgen.runtime.scenario import CASES, find_scenario, read_scenario
 from clikgen.runtime.simulation import Run, prepare
 from clikgen.symbolic.controller import Controller, build
@@ -247,10 +247,14 @@ def from_python() -> dict[str, float]:
         for value in [np.asarray(run.values[name])]
     }
     moving = {name: now[name] for name in ("q", "tool_reference", "tool_reference_velocity", "obstacle_center")}
-    controller.step(**now)
+    step = controller.step
+    without = CompiledFunction(step.info, step.library)
+    for function in (step, without):
+        function(**now)
     ways: dict[str, tuple[Callable[[], object], int]] = {
-        "step.evaluate(), inputs written in place": (lambda: evaluated(controller), CALLS // 10),
-        f"step(...), {len(moving)} inputs by name": (lambda: called(controller, moving), CALLS // 10),
+        "step()": (lambda: bare(step, CALLS), CALLS),
+        "step(...), 4 inputs by name": (lambda: by_name(step, CALLS, **moving), CALLS),
+        "the same without Python.h": (lambda: by_name(without, CALLS // 10, **moving), CALLS // 10),
         "a rollout, whole in C": (lambda: rollouts(run), ROLLOUTS * run.steps),
     }
     costs: dict[str, list[float]] = {name: [] for name in ways}
@@ -260,16 +264,26 @@ def from_python() -> dict[str, float]:
     return {name: statistics.median(values) for name, values in costs.items()}
 
 
-def evaluated(controller: CompiledController) -> None:
-    evaluate = controller.step.evaluate
-    for _ in range(CALLS // 10):
-        evaluate()
+def bare(step: CompiledFunction, calls: int) -> None:
+    for _ in range(calls):
+        step()
 
 
-def called(controller: CompiledController, values: dict[str, Array]) -> None:
-    step = controller.step
-    for _ in range(CALLS // 10):
-        step(**values)
+def by_name(
+    step: CompiledFunction,
+    calls: int,
+    q: Array,
+    tool_reference: Array,
+    tool_reference_velocity: Array,
+    obstacle_center: Array,
+) -> None:
+    for _ in range(calls):
+        step(
+            q=q,
+            tool_reference=tool_reference,
+            tool_reference_velocity=tool_reference_velocity,
+            obstacle_center=obstacle_center,
+        )
 
 
 def rollouts(run: Run) -> None:

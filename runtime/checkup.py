@@ -6,8 +6,9 @@ from dataclasses import dataclass
 from importlib import metadata
 
 from clikgen.runtime.compiler import available_compilers, cache_folder
-from clikgen.runtime.controller import CompiledController
+from clikgen.runtime.controller import CompiledController, CompiledFunction
 from clikgen.runtime.documents import BadInput, write_atomically
+from clikgen.runtime.extension import NoExtension, called_in_c
 
 
 @dataclass(frozen=True, slots=True)
@@ -22,7 +23,7 @@ class Finding:
 
 def checkup() -> list[Finding]:
     """Python and package versions, the compilers, the cache, and a controller compiled and stepped."""
-    return [*_versions(), *_compilers(), _cache(), _step()]
+    return [*_versions(), *_compilers(), _cache(), _step(), _call()]
 
 
 def _versions() -> Iterator[Finding]:
@@ -63,3 +64,12 @@ def _step() -> Finding:
         return Finding("planar5", str(error), False, "see the lines above")
     lam = controller.step()["lam"]
     return Finding("planar5", f"compiled, loaded and stepped (λ = {float(lam):g})", True)
+
+
+def _call() -> Finding:
+    """A call in Python works as well, at ten times the cost."""
+    try:
+        called_in_c(CompiledFunction)
+    except NoExtension as error:
+        return Finding("calls", f"in Python, which is slower: {error}", True)
+    return Finding("calls", "in C, built with this Python's headers", True)

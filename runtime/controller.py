@@ -1,12 +1,13 @@
 """A generated controller, compiled and callable: shapes checked, buffers made once."""
 
+import sys
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from functools import partial
+from functools import cache
 from importlib import resources
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, Self, cast
+from typing import Any, NoReturn, Self
 
 import cffi
 import numpy as np
@@ -14,6 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from clikgen.runtime.compiler import NATIVE, Compiler, compile_library, find_compiler, library_path
 from clikgen.runtime.documents import BadInput, choices
+from clikgen.runtime.extension import NoExtension, called_in_c
 from clikgen.runtime.manifest import FunctionInfo, Manifest, SignalInfo, load_manifest
 
 Array = NDArray[np.float64]
@@ -32,22 +34,21 @@ int clikgen_repeat(const clikgen_evaluation *, long long, int, const long long *
 class CompiledFunction:
     """One generated function with its own buffers.
 
-    `inputs` and `outputs` are arrays in the shapes of the manifest that stay the same from call to call: write
-    into the one, `evaluate()`, read from the other, copy what has to outlive the next call. That is the fastest way
-    from Python, the cost of a call into C; calling the function with arrays by name checks and copies them first.
+    `inputs` and `outputs` are arrays in the shapes of the manifest that stay the same from call to call: copy what
+    has to outlive the next one. Arrays of doubles in those shapes are taken fastest.
     """
+
+    __slots__ = ("_binding", "_kept", "_own", "info", "inputs", "library", "outputs")
 
     def __init__(self, info: FunctionInfo, library: Any) -> None:
         self.info = info
-        self._library = library
-        self.inputs = MappingProxyType({signal.name: _buffer(signal) for signal in info.inputs})
+        self.library = library
+        self.inputs = MappingProxyType({sys.intern(signal.name): _buffer(signal) for signal in info.inputs})
         self.outputs = MappingProxyType({signal.name: _buffer(signal) for signal in info.outputs})
-        buffers: list[tuple[str, Any]] = list(self.inputs.items())
-        self._vectors = {name: memoryview(buffer) for name, buffer in buffers if buffer.ndim == 1}
-        self._others = {name: (buffer, buffer.shape) for name, buffer in buffers if buffer.ndim != 1}
         self._own, self._kept = self._evaluation(self.inputs, self.outputs)
-        self.evaluate: Callable[[], int] = partial(library.clikgen_evaluate, self._own)
-        """Evaluate once, from `inputs` into `outputs`."""
+        addresses = (_address(library.clikgen_evaluate), _address(self._own))
+        self._binding = (tuple(self.inputs), tuple(self.inputs.values()), self.outputs, *addresses)
+        self._bind(self._binding)
 
     def __call__(self, **values: ArrayLike) -> Mapping[str, Array]:
         """Evaluate once, after copying `values` into the inputs they name; an input not named keeps its value.
@@ -55,24 +56,14 @@ class CompiledFunction:
         Raises ValueError for an unknown name or a shape other than the manifest's: a scalar would otherwise
         fill a whole vector in silence.
         """
-        vectors, others, given = self._vectors, self._others, cast(dict[str, Any], values)
-        for name, value in given.items():
-            try:
-                if name in vectors:
-                    vectors[name][:] = value  # refuses another type or shape, and is the fastest copy there is
-                    continue
-                buffer, shape = others[name]
-                if value.shape == shape:
-                    buffer[...] = value
-                    continue
-            except (AttributeError, KeyError, TypeError, ValueError):
-                pass
+        for name, value in values.items():
             self._write(name, value)
-        self.evaluate()
+        if failed := self.library.clikgen_evaluate(self._own):
+            self._fail(failed)
         return self.outputs
 
     def _write(self, name: str, value: ArrayLike) -> None:
-        """Copy what is not yet an array of doubles in the input's shape; raises ValueError."""
+        """Copy a value into the input of that name; raises ValueError."""
         if name not in self.inputs:
             raise ValueError(f"{self.info.symbol}: no input '{name}'; {choices(name, self.inputs)}")
         buffer, array = self.inputs[name], np.asarray(value)
@@ -80,14 +71,20 @@ class CompiledFunction:
             raise ValueError(f"{name} must have shape {buffer.shape} for {self.info.symbol}, got {array.shape}")
         buffer[...] = array
 
+    def _fail(self, result: int) -> NoReturn:
+        raise RuntimeError(f"{self.info.symbol} returned {result}")
+
+    def _bind(self, binding: tuple[Any, ...]) -> None:
+        """Where the call is in C, it takes from this all it needs; here there is no use for it."""
+
     @property
     def pointer(self) -> Any:
         """The C function itself, in CasADi's calling convention, for other C to call."""
-        return _ffi.cast("void *", getattr(self._library, self.info.symbol))
+        return _ffi.cast("void *", getattr(self.library, self.info.symbol))
 
     def with_own_buffers(self) -> "CompiledFunction":
         """The same function with other buffers, at their defaults."""
-        return CompiledFunction(self.info, self._library)
+        return type(self)(self.info, self.library)
 
     def map(self, count: int, values: Mapping[str, ArrayLike]) -> dict[str, Array]:
         """`count` independent evaluations inside compiled C.
@@ -118,7 +115,7 @@ class CompiledFunction:
     def _repeat(self, count: int, inputs: Mapping[str, Array], outputs: Mapping[str, Array]) -> None:
         """`count` evaluations in C, each signal's array walked by its own stride."""
         evaluation, kept = self._evaluation(inputs, outputs)
-        failed = self._library.clikgen_repeat(
+        failed = self.library.clikgen_repeat(
             evaluation,
             count,
             len(inputs),
@@ -128,7 +125,7 @@ class CompiledFunction:
         )
         del kept  # held until here: C reads through it
         if failed:
-            raise RuntimeError(f"{self.info.symbol} returned {failed}")
+            self._fail(failed)
 
     def _evaluation(self, inputs: Mapping[str, Array], outputs: Mapping[str, Array]) -> tuple[Any, Any]:
         """The function with these buffers, as C wants it, and the tables and room that have to outlive its use."""
@@ -137,6 +134,19 @@ class CompiledFunction:
         iw, w = _ffi.new("long long[]", max(self.info.sz_iw, 1)), _ffi.new("double[]", max(self.info.sz_w, 1))
         evaluation = {"function": self.pointer, "arg": arg, "res": res, "iw": iw, "w": w}
         return _ffi.new("clikgen_evaluation *", evaluation), (arg, res, iw, w)
+
+
+@cache
+def function_class() -> type[CompiledFunction]:
+    """CompiledFunction, called in C where that can be."""
+    try:
+        return called_in_c(CompiledFunction)
+    except NoExtension:
+        return CompiledFunction
+
+
+def _address(pointer: Any) -> int:
+    return int(_ffi.cast("uintptr_t", pointer))
 
 
 def _buffer(signal: SignalInfo) -> Array:
@@ -181,7 +191,8 @@ class CompiledController:
             library = ffi.dlopen(str(path))
         except OSError as error:
             raise BadInput(f"{path}: cannot be loaded, delete it to compile anew: {error}") from None
-        functions = {info.name: CompiledFunction(info, library) for info in manifest.functions}
+        function = function_class()
+        functions = {info.name: function(info, library) for info in manifest.functions}
         kinematics, jacobians, step = (functions[name] for name in ("kinematics", "jacobians", "step"))
         return cls(manifest, kinematics, jacobians, step, folder.resolve(), compiler)
 

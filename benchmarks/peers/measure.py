@@ -15,13 +15,14 @@ import pinocchio as pin
 from common import compiler, machine, per_call
 from numpy.typing import NDArray
 
+from clikgen.runtime.controller import CompiledFunction
 from clikgen.symbolic.generate import generate
 from clikgen.symbolic.spec import read_spec
 from peers import batches, native, report
 from peers.aims import reached
 from peers.environments import ENVIRONMENTS
 from peers.libraries import LIBRARIES, Setup
-from peers.ours import EVALUATE, KEYWORDS, ways
+from peers.ours import IN_PYTHON, ways
 from peers.pinocchio_numpy import LAWS
 from peers.timing import Function, Remote, Runner, Stateful
 from peers.work import CENTERS, HERE, HOME, INFLUENCE, RADII, STEPS, Robot, robots
@@ -47,8 +48,7 @@ class Candidate:
     language: str
     does: str
     runner: Runner
-    against: str = KEYWORDS
-    best: str = EVALUATE  # the fastest of ours in that language
+    against: str = IN_PYTHON
     results: Callable[[], Array] | None = None  # in the states at random, (count, size), where the law is the same
     at_random: Callable[[], float] | None = None  # nanoseconds per step there
 
@@ -139,9 +139,9 @@ def all_candidates(both: Sequence[Robot], place: Path, missing: dict[str, str]) 
 
 
 def ours_in_python(robot: Robot) -> Iterator[Candidate]:
-    step, names = robot.controller.step, native.RESULTS[robot.name]
+    names = native.RESULTS[robot.name]
 
-    def candidate(name: str, taken: Callable[..., Array]) -> Candidate:
+    def candidate(name: str, step: CompiledFunction, taken: Callable[..., Array]) -> Candidate:
         def results() -> Array:
             found = []
             for q, item in zip(robot.random.q, robot.random.items(), strict=True):
@@ -151,8 +151,8 @@ def ours_in_python(robot: Robot) -> Iterator[Candidate]:
 
         return in_python(name, robot, "ours", taken, results)
 
-    for name, taken in ways(robot).items():
-        yield candidate(name, taken)
+    for name, (step, taken) in ways(robot).items():
+        yield candidate(name, step, taken)
 
 
 def in_python(
@@ -176,8 +176,7 @@ def in_numpy(robot: Robot) -> Iterator[Candidate]:
 
 
 def native_candidate(name: str, robot: Robot, law: str, language: str, step: native.Native) -> Candidate:
-    in_c = (OURS_IN_C, OURS_IN_C)
-    return Candidate(name, robot.name, law, language, "the law", step, *in_c, step.results, step.at_random)
+    return Candidate(name, robot.name, law, language, "the law", step, OURS_IN_C, step.results, step.at_random)
 
 
 def in_cpp(robot: Robot, loop: Any, missing: dict[str, str]) -> Iterator[Candidate]:
@@ -319,13 +318,12 @@ def step_rows(
     found = {(one.robot, one.name, one.does): time for one, time in zip(candidates, times, strict=True)}
     rows = []
     for one, time, along in zip(candidates, times, went, strict=True):
-        ours, best = (found[one.robot, name, "the law"] for name in (one.against, one.best))
+        ours = found[one.robot, one.against, "the law"]
         row: dict[str, Any] = {"robot": one.robot, "name": one.name, "law": one.law, "does": one.does}
         row |= {"language": one.language, "us": statistics.median(time.rounds) / 1e3}
         row |= {"p99_us": float(np.quantile(time.single, 0.99)) / 1e3}
         row |= {"random_us": statistics.median(time.random) / 1e3 if time.random else None}
-        row |= {"against": one.against, "times_ours": ratio(time.rounds, ours.rounds)}
-        row |= {"times_best": ratio(time.rounds, best.rounds), **along}
+        row |= {"against": one.against, "times_ours": ratio(time.rounds, ours.rounds), **along}
         rows.append(row)
     return [row for row in rows if not slower_build(row, rows)]
 

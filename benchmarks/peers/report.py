@@ -61,7 +61,6 @@ STEP_COLUMNS = {
     "p99 us": lambda row: number(row["p99_us"]),
     "random us": lambda row: number(row["random_us"]),
     "x ours": lambda row: number(row["times_ours"]),
-    "x fastest": lambda row: number(row["times_best"]),
     "tracking rms": lambda row: f"{row['tracking_rms']:.2g} m",
     "least d - s": lambda row: f"{row['min_clearance']:.3f} m" if "min_clearance" in row else "",
 }
@@ -85,7 +84,6 @@ AIM_COLUMNS = {
     "than": lambda row: row["than"],
     "wanted": lambda row: number(row["wanted"]),
     "x ours": lambda row: number(row["times_ours"]),
-    "x fastest": lambda row: number(row["times_best"]),
     "reached": lambda row: row["reached"],
 }
 LEFT = ("", "law", "does", "in", "robot", "than", "reached")
