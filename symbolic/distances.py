@@ -2,14 +2,16 @@
 
 import casadi as ca
 
-COINCIDENT = 1e-12  # [m] nearer than this, the direction from one point to another is taken as +x
+COINCIDENT = 1e-12  # [m] nearer than this, the direction from one point to another is +x
 
 
 def apart(toward: ca.SX, length: ca.SX) -> tuple[ca.SX, ca.SX]:
-    """The vector (2 or 3, 1) and its length where that is above COINCIDENT, else a unit vector along +x and 1."""
-    is_apart = length > COINCIDENT
-    first_axis = ca.densify(ca.SX.eye(toward.numel())[:, 0])
-    return ca.if_else(is_apart, toward, first_axis), ca.if_else(is_apart, length, 1)
+    """The vector (2 or 3, 1) and its length where that is above COINCIDENT, else both with 1 added along +x.
+
+    One sum each, in place of a choice for every element: compilers make vectors of loops without branches.
+    """
+    coincident = length <= COINCIDENT
+    return toward + coincident * ca.SX.eye(toward.numel())[:, 0], length + coincident
 
 
 def direction(toward: ca.SX, squared: ca.SX | None = None) -> tuple[ca.SX, ca.SX]:

@@ -420,10 +420,11 @@ def _closest_contacts(tree: KinematicTree, obstacles: Obstacles, radius: ca.SX) 
     def sensed(_: Symbols, columns: Symbols, shared: Symbols, inner: list[Stage]) -> tuple[list[ca.SX], list[ca.SX]]:
         place, s = columns
         distance, toward, length = Shapes.from_arrays(_restored(shared, arrays)).closest(place, inner)
-        wrench, strength = Wrench.at("", place, toward), ca.fmax(s - distance, 0) / length
-        return [], [distance, toward / length, distance - s, strength * wrench.force, strength * wrench.moment]
+        wrench, x = Wrench.at("", place, toward), ca.fmax(s - distance, 0)
+        force, moment = x / length * wrench.force, x / length * wrench.moment
+        return [], [distance, toward / length, distance - s, x**2, force, moment]
 
-    _, (distance, u, clearance, force, moment) = _looped(
+    _, (distance, u, clearance, x_squared, force, moment) = _looped(
         "sense", sensed, [], [places, radius.T], [array for array in arrays if array.numel()], stages
     )
 
@@ -438,10 +439,9 @@ def _closest_contacts(tree: KinematicTree, obstacles: Obstacles, radius: ca.SX) 
         wrenches.append(Wrench(link, *total))
 
     def least(mine: Symbols, columns: Symbols, _: Symbols, __: list[Stage]) -> tuple[list[ca.SX], list[ca.SX]]:
-        potential, lowest = mine
-        return [potential + ca.fmax(-columns[0], 0) ** 2, ca.fmin(columns[0], lowest)], []
+        return [mine[0] + columns[0], ca.fmin(columns[1], mine[1])], []
 
-    (potential, lowest), _ = _looped("least", least, [ca.SX(0), ca.SX(2 * FAR)], [clearance], [], stages)
+    (potential, lowest), _ = _looped("least", least, [ca.SX(0), ca.SX(2 * FAR)], [x_squared, clearance], [], stages)
     contacts = tuple(
         Contact(distance[i], radius[i], u[:, i].T @ _jacobian(tree, point)) for i, point in enumerate(points)
     )

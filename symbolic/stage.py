@@ -177,16 +177,24 @@ class Loop(Stage):
         return self.count * self.body.operations
 
     def without_unused(self, needed: ca.SX) -> Self:
-        """Without results that are not needed, and with the arguments that the others take."""
-        used = [k for k, one in enumerate(self.symbols) if k < self.carried or ca.depends_on(needed, ca.vec(one))]
-        body = Procedure.of(self.name, self.body.given, [self.body.results[k] for k in used], self.body.stages)
-        takes = [k for k, one in enumerate(body.given) if k < self.carried or body.depends_on(ca.vec(one))]
+        """Without what is not needed, carried values too, and with the arguments that the others take."""
+        used = {k for k, one in enumerate(self.symbols) if ca.depends_on(needed, ca.vec(one))}
+        while True:
+            results = [self.body.results[k] for k in sorted(used)]
+            body = Procedure.of(self.name, self.body.given, results, self.body.stages)
+            takes = {k for k, one in enumerate(body.given) if body.depends_on(ca.vec(one))}
+            more = {k for k in takes if k < self.carried} - used
+            if not more:
+                break
+            used |= more
+        takes |= {k for k in used if k < self.carried}
         return replace(
             self,
-            symbols=tuple(self.symbols[k] for k in used),
-            arguments=tuple(self.arguments[k] for k in takes),
+            symbols=tuple(self.symbols[k] for k in sorted(used)),
+            arguments=tuple(self.arguments[k] for k in sorted(takes)),
+            carried=sum(k < self.carried for k in used),
             over=sum(self.carried <= k < self.carried + self.over for k in takes),
-            body=replace(body, given=tuple(body.given[k] for k in takes)),
+            body=replace(body, given=tuple(body.given[k] for k in sorted(takes))),
         )
 
     def inlined(self, arguments: Sequence[ca.SX]) -> list[ca.SX]:

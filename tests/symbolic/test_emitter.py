@@ -741,6 +741,30 @@ def test_lanes_are_vectors_for_the_compiler(name, command, processor, files, tmp
     assert len(re.findall(product, text)) > 10 * max(alone, 1)
 
 
+VECTORIZED = re.compile(r":(\d+):\d+: (?:optimized: loop vectorized|remark: vectorized loop)")
+
+
+@pytest.mark.parametrize("processor", [name for name in PACKED if name == platform.machine()])
+@pytest.mark.parametrize("command", COMPILERS, ids=lambda command: command[-1])
+@pytest.mark.parametrize("name", SPECS)
+def test_loops_that_may_run_side_by_side_are_vectors_for_the_compiler(name, command, processor, files, tmp_path):
+    """A choice that becomes a branch would keep them from it."""
+    if "ziglang" in command:
+        pytest.skip("zig compiles nothing twice, and says nothing the second time")
+    source, common = files(name, "c") / f"{name}.c", [flag for flag in FLAGS if flag != "-shared"]
+    clang = "clang" in run([*command, "--version"]).stdout
+    tell = "-Rpass=loop-vectorize" if clang else "-fopt-info-vec-optimized"
+    outcome = run([*command, *common, "-O3", *PACKED[processor][0], tell, "-c", "-o", tmp_path / "one.o", source])
+    assert outcome.returncode == 0, outcome.stderr
+    found = {int(line) for line in VECTORIZED.findall(outcome.stderr)}
+    lines = source.read_text(encoding="utf-8").splitlines()
+    wanted = [k + 2 for k, line in enumerate(lines) if line.strip() == "CLIKGEN_SIMD"]
+    assert wanted
+    assert [
+        k for k in wanted if not {k - 1, k, k + 1} & found
+    ] == []  # clang names the pragma, gcc the first line inside
+
+
 FAST = ["-ffast-math", "-ffinite-math-only"]
 FAST += ["-Ofast"] if "ziglang" not in find_compiler().command else []  # to zig that is another word for -O3
 

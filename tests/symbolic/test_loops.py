@@ -71,6 +71,29 @@ def unrolled(procedure):
     return replace(straight, name=f"{procedure.name}_unrolled")
 
 
+def test_what_a_loop_carries_for_nobody_is_left_out():
+    """A sum that no one reads and what it is made of; what is read in the end, or by what is, stays."""
+    x, s = ca.SX.sym("x", 1, 4), ca.SX.sym("s")
+
+    def body(mine, columns, shared, _):
+        total, square, least = mine
+        return [total + columns[0], square + columns[1] * shared[0], ca.fmin(least, total)], [square, columns[0] + 1]
+
+    loop = Loop.of("loop", body, [ca.SX(0), ca.SX(0), ca.SX(9)], [x, x**2], [s])
+    total, square, least, squares, more = loop.symbols
+    kept = {
+        "total": (total, 1, 1, 2),  # starts at 0, and goes over x
+        "least": (least, 2, 1, 3),  # which reads the total
+        "square": (square, 1, 1, 3),  # s is shared
+        "squares": (squares, 1, 1, 3),
+        "more": (more, 0, 1, 1),
+    }
+    for result, carried, over, arguments in kept.values():
+        (left,) = Procedure.of("p", [x.T, s], [ca.vec(result)], [loop]).stages
+        assert (left.carried, left.over, len(left.arguments)) == (carried, over, arguments)
+        assert len(left.body.given) == arguments
+
+
 # ---- Loops made up ----
 
 
