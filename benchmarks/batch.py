@@ -24,6 +24,7 @@ import cffi
 import growth
 import numpy as np
 from common import compiler, machine, per_call
+from numpy.typing import NDArray
 
 from clikgen.runtime.batch import METRICS, cores, simulate_batch
 from clikgen.runtime.compiler import FLAGS, find_compiler
@@ -39,6 +40,7 @@ VECTORS = {"SSE2": ("x86-64", "sse2"), "AVX2": ("x86-64-v3", "avx2"), "AVX-512":
 _LOOP = "long, long, int, double **, const long *, double **"
 SCALAR = "one after the other, -march=native"
 
+Array = NDArray[np.float64]
 Work = Callable[[], object]
 
 
@@ -58,9 +60,9 @@ def loop(controller: CompiledController, folder: Path, march: str, lanes: int) -
         own, size = signal.name in states, signal.size
         value = np.asarray(states[signal.name][:STATES] if own else controller.step.inputs[signal.name], dtype=float)
         rows = np.broadcast_to(value.reshape(-1, size), (STATES if own else lanes, size))
-        inputs.append(np.ascontiguousarray(rows.reshape(-1, lanes, size).transpose(0, 2, 1)))
+        inputs.append(aligned(rows.reshape(-1, lanes, size).transpose(0, 2, 1)))
         strides.append(size * lanes if own else 0)
-    outputs = [np.zeros((signal.size, lanes)) for signal in info.outputs]
+    outputs = [aligned(np.zeros((signal.size, lanes))) for signal in info.outputs]
     arg, res = (
         ffi.new("double *[]", [ffi.cast("double *", array.ctypes.data) for array in arrays])
         for arrays in (inputs, outputs)
@@ -74,6 +76,15 @@ def loop(controller: CompiledController, folder: Path, march: str, lanes: int) -
         return kept
 
     return work
+
+
+def aligned(array: Array) -> Array:
+    """A copy that starts where a line of the cache does, as blocks of `simulate_batch` do."""
+    room = np.empty(array.size + 8)
+    start = -room.ctypes.data % 64 // 8
+    copy = room[start : start + array.size].reshape(array.shape)
+    copy[...] = array
+    return copy
 
 
 def batch(controller: CompiledController, metrics: tuple[str, ...], threads: int) -> None:

@@ -32,7 +32,7 @@ from common import compiler, machine, per_call
 from numpy.typing import NDArray
 
 from clikgen.runtime.compiler import FLAGS, NATIVE, find_compiler
-from clikgen.runtime.controller import CompiledController, CompiledFunction
+from clikgen.runtime.controller import CompiledController, CompiledFunction, load_library
 from clikgen.runtime.scenario import CASES, find_scenario, read_scenario
 from clikgen.runtime.simulation import Run, prepare
 from clikgen.symbolic.controller import Controller, build
@@ -42,6 +42,7 @@ from clikgen.symbolic.spec import read_spec, shipped_specs
 ROUNDS = 25
 CALLS = 20_000
 ROLLOUTS = 10
+SAME = 1e-6
 PLAIN = ("-O2", "-fPIC")
 CHAINS = {"add": "add", "sub": "add", "mul": "mul", "div": "div", "sqrt": "sqrt", "select": "select"}
 SINCOS = Counter(add=17, mul=22)  # of our own sine and cosine together, bits aside
@@ -50,7 +51,8 @@ HERE = Path(__file__).parent
 _STEP = "int {}(const double **, double **, long long *, double *, int);"
 _CALLS = """
 typedef struct { void *function; const double **arg; double **res; long long *iw; double *w; } clikgen_evaluation;
-int clikgen_repeat(const clikgen_evaluation *, long long, int, const long long *, int, const long long *);
+typedef struct { double **pointer; long long stride; } clikgen_walk;
+int clikgen_repeat(const clikgen_evaluation *, long long, const clikgen_walk *, int);
 """
 
 Array = NDArray[np.float64]
@@ -84,7 +86,7 @@ class Floor:
 
 def variants(controller: Controller) -> Iterator[Variant]:
     spec, function = controller.spec, controller.functions[-1]
-    if spec.name == "planar5":
+    if spec.name in textbook.LAWS:
         yield Variant("the paper's formulas, CasADi's C, plain flags", _by_casadi(textbook.step(spec, function)), PLAIN)
     by_casadi = _by_casadi(function.procedure.unrolled(lambda _: True).casadi())
     yield Variant("CasADi's C, plain flags", by_casadi, PLAIN)
@@ -115,6 +117,7 @@ def measured(controller: Controller, folder: Path) -> list[tuple[str, float, flo
         call = ffi.dlopen(str(library))
         work.append((stepping(ffi, call, loaded, states, new=False), stepping(ffi, call, loaded, states, new=True)))
         rows.append(variant)
+        check(variant, loaded, load_library(library, [loaded.step.info.symbol]), states)
     costs: list[tuple[list[float], list[float]]] = [([], []) for _ in rows]
     for _ in range(ROUNDS):
         for (staying, new), (cost, cost_new) in zip(work, costs, strict=True):
@@ -124,6 +127,16 @@ def measured(controller: Controller, folder: Path) -> list[tuple[str, float, flo
         (one.name, statistics.median(cost), statistics.median(cost_new), instructions(one, loaded, states, folder))
         for one, (cost, cost_new) in zip(rows, costs, strict=True)
     ]
+
+
+def check(variant: Variant, loaded: CompiledController, code: object, states: dict[str, Array]) -> None:
+    """What is compared gives our numbers, in all states; the textbook's quaternion loses half its digits at w = 0."""
+    ours, theirs = (one.map(growth.STATES, states) for one in (loaded.step, CompiledFunction(loaded.step.info, code)))
+    for name, value in ours.items():
+        scale = np.maximum(np.abs(value.reshape(growth.STATES, -1)).max(axis=1), 1)
+        apart = np.abs(theirs[name] - value).reshape(growth.STATES, -1).max(axis=1) / scale
+        if np.max(apart) > SAME:
+            raise SystemExit(f"{variant.name}: {name} of another step, {np.max(apart):.2g} apart")
 
 
 def built(variant: Variant, folder: Path) -> Path:
@@ -143,7 +156,7 @@ def stepping(
     info = loaded.step.info
     count = growth.STATES if new else CALLS
     inputs = [np.ascontiguousarray(states.get(one.name, loaded.step.inputs[one.name])) for one in info.inputs]
-    sizes = [one.size if new and one.name in states else 0 for one in info.inputs]
+    moving = [(k, one.size) for k, one in enumerate(info.inputs) if new and one.name in states]
     outputs = [np.zeros(one.size) for one in info.outputs]
     iw, w = ffi.new("long long[]", 4096), ffi.new("double[]", 65536)
     pad = [ffi.NULL] * 64
@@ -153,7 +166,8 @@ def stepping(
         res = ffi.new("double *[]", [ffi.from_buffer("double *", one) for one in outputs] + pad)
         function = ffi.cast("void *", getattr(library, info.symbol))
         one = ffi.new("clikgen_evaluation *", {"function": function, "arg": arg, "res": res, "iw": iw, "w": w})
-        return int(library.clikgen_repeat(one, count, len(inputs), sizes, len(outputs), [0] * len(outputs)))
+        walks = ffi.new("clikgen_walk[]", [(ffi.cast("double **", arg + k), size) for k, size in moving])
+        return int(library.clikgen_repeat(one, count, walks, len(walks)))
 
     return work
 
@@ -248,7 +262,7 @@ def from_python() -> dict[str, float]:
     }
     moving = {name: now[name] for name in ("q", "tool_reference", "tool_reference_velocity", "obstacle_center")}
     step = controller.step
-    without = CompiledFunction(step.info, step.library)
+    without = CompiledFunction(step.info, step.code)
     for function in (step, without):
         function(**now)
     ways: dict[str, tuple[Callable[[], object], int]] = {

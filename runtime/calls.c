@@ -15,19 +15,21 @@ typedef struct {
 
 int clikgen_evaluate(const clikgen_evaluation *one) { return one->function(one->arg, one->res, one->iw, one->w, 0); }
 
-/* The same function called `times` times over arrays, whose pointers it moves.
+/* A pointer of an evaluation that goes on by so many doubles from one call to the next. */
+typedef struct {
+  double **pointer;
+  long long stride;
+} clikgen_walk;
+
+/* The same function called `times` times over arrays: `walks` are the signals that change, the rest stays where it is.
  *
- * Every argument has a stride in doubles from one call to the next: 0 for a constant, the signal's size for one
- * that changes. In a rollout a state's output is the next step's input in one array, so nothing is copied between
- * steps.
+ * In a rollout a state's output is the next step's input in one array, so nothing is copied between steps.
  */
-int clikgen_repeat(const clikgen_evaluation *one, long long times, int inputs, const long long *arg_stride,
-                    int outputs, const long long *res_stride) {
+int clikgen_repeat(const clikgen_evaluation *one, long long times, const clikgen_walk *walks, int count) {
   for (long long k = 0; k < times; ++k) {
     const int failed = clikgen_evaluate(one);
     if (failed) return failed;
-    for (int i = 0; i < inputs; ++i) one->arg[i] += arg_stride[i];
-    for (int i = 0; i < outputs; ++i) one->res[i] += res_stride[i];
+    for (int i = 0; i < count; ++i) *walks[i].pointer += walks[i].stride;
   }
   return 0;
 }

@@ -1,7 +1,7 @@
 """A generated controller, compiled and callable: shapes checked, buffers made once."""
 
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from functools import cache
 from importlib import resources
@@ -21,13 +21,14 @@ from clikgen.runtime.manifest import FunctionInfo, Manifest, SignalInfo, load_ma
 Array = NDArray[np.float64]
 
 _ffi = cffi.FFI()
-_ffi.cdef(
-    "typedef struct { void *function; const double **arg; double **res; long long *iw; double *w; } clikgen_evaluation;"
-)
+_ffi.cdef("""
+typedef struct { void *function; const double **arg; double **res; long long *iw; double *w; } clikgen_evaluation;
+typedef struct { double **pointer; long long stride; } clikgen_walk;
+""")
 _FUNCTION = "int {}(const double **, double **, long long *, double *, int);"  # CasADi's calling convention
 _CALLS = """
 int clikgen_evaluate(const clikgen_evaluation *);
-int clikgen_repeat(const clikgen_evaluation *, long long, int, const long long *, int, const long long *);
+int clikgen_repeat(const clikgen_evaluation *, long long, const clikgen_walk *, int);
 """
 
 
@@ -38,11 +39,11 @@ class CompiledFunction:
     has to outlive the next one. Arrays of doubles in those shapes are taken fastest.
     """
 
-    __slots__ = ("_binding", "_kept", "_own", "info", "inputs", "library", "outputs")
+    __slots__ = ("_binding", "_kept", "_own", "code", "info", "inputs", "outputs")
 
     def __init__(self, info: FunctionInfo, library: Any) -> None:
         self.info = info
-        self.library = library
+        self.code = library
         self.inputs = MappingProxyType({sys.intern(signal.name): _buffer(signal) for signal in info.inputs})
         self.outputs = MappingProxyType({signal.name: _buffer(signal) for signal in info.outputs})
         self._own, self._kept = self._evaluation(self.inputs, self.outputs)
@@ -58,7 +59,7 @@ class CompiledFunction:
         """
         for name, value in values.items():
             self._write(name, value)
-        if failed := self.library.clikgen_evaluate(self._own):
+        if failed := self.code.clikgen_evaluate(self._own):
             self._fail(failed)
         return self.outputs
 
@@ -80,11 +81,11 @@ class CompiledFunction:
     @property
     def pointer(self) -> Any:
         """The C function itself, in CasADi's calling convention, for other C to call."""
-        return _ffi.cast("void *", getattr(self.library, self.info.symbol))
+        return _ffi.cast("void *", getattr(self.code, self.info.symbol))
 
     def with_own_buffers(self) -> "CompiledFunction":
         """The same function with other buffers, at their defaults."""
-        return type(self)(self.info, self.library)
+        return type(self)(self.info, self.code)
 
     def map(self, count: int, values: Mapping[str, ArrayLike]) -> dict[str, Array]:
         """`count` independent evaluations inside compiled C.
@@ -115,14 +116,15 @@ class CompiledFunction:
     def _repeat(self, count: int, inputs: Mapping[str, Array], outputs: Mapping[str, Array]) -> None:
         """`count` evaluations in C, each signal's array walked by its own stride."""
         evaluation, kept = self._evaluation(inputs, outputs)
-        failed = self.library.clikgen_repeat(
-            evaluation,
-            count,
-            len(inputs),
-            [_stride(signal, inputs[signal.name]) for signal in self.info.inputs],
-            len(outputs),
-            [signal.size for signal in self.info.outputs],
-        )
+        strides = [_stride(signal, inputs[signal.name]) for signal in self.info.inputs]
+        tables = ((evaluation.arg, strides), (evaluation.res, [signal.size for signal in self.info.outputs]))
+        walks = [
+            (_ffi.cast("double **", table + i), stride)
+            for table, strides in tables
+            for i, stride in enumerate(strides)
+            if stride
+        ]
+        failed = self.code.clikgen_repeat(evaluation, count, _ffi.new("clikgen_walk[]", walks), len(walks))
         del kept  # held until here: C reads through it
         if failed:
             self._fail(failed)
@@ -134,6 +136,17 @@ class CompiledFunction:
         iw, w = _ffi.new("long long[]", max(self.info.sz_iw, 1)), _ffi.new("double[]", max(self.info.sz_w, 1))
         evaluation = {"function": self.pointer, "arg": arg, "res": res, "iw": iw, "w": w}
         return _ffi.new("clikgen_evaluation *", evaluation), (arg, res, iw, w)
+
+
+def load_library(path: Path, symbols: Iterable[str]) -> Any:
+    """The generated functions of these names in a shared library that has calls.c; raises BadInput."""
+    ffi = cffi.FFI()
+    ffi.include(_ffi)
+    ffi.cdef(_CALLS + "".join(map(_FUNCTION.format, symbols)))
+    try:
+        return ffi.dlopen(str(path))
+    except OSError as error:
+        raise BadInput(f"{path}: cannot be loaded, delete it to compile anew: {error}") from None
 
 
 @cache
@@ -183,15 +196,8 @@ class CompiledController:
         manifest = load_manifest(folder)
         if manifest.target == "float":
             raise BadInput(f"{folder}: wanted a controller in double, got one of --target float, for C alone")
-        ffi = cffi.FFI()
-        ffi.include(_ffi)
-        ffi.cdef(_CALLS + "".join(_FUNCTION.format(info.symbol) for info in manifest.functions))
         path = compile_library(_sources(folder, manifest), compiler, NATIVE)
-        try:
-            library = ffi.dlopen(str(path))
-        except OSError as error:
-            raise BadInput(f"{path}: cannot be loaded, delete it to compile anew: {error}") from None
-        function = function_class()
+        library, function = load_library(path, [info.symbol for info in manifest.functions]), function_class()
         functions = {info.name: function(info, library) for info in manifest.functions}
         kinematics, jacobians, step = (functions[name] for name in ("kinematics", "jacobians", "step"))
         return cls(manifest, kinematics, jacobians, step, folder.resolve(), compiler)

@@ -49,6 +49,15 @@ def real_of(target: Target) -> Real:
     return "float" if target == "float" else "double"
 
 
+SCHEDULED = """\
+/* Many operations here wait for none of the others: gcc shall order them, with an eye on its registers. */
+#if defined __GNUC__ && !defined __clang__
+#pragma GCC optimize("schedule-insns", "sched-pressure")
+#endif
+
+"""
+
+
 def lanes_source(controller: Controller) -> str | None:
     """The text of `<controller>_lanes.c`, the step of LANES robots at once; None where it is no straight line."""
     name = controller.spec.name
@@ -63,7 +72,7 @@ def lanes_source(controller: Controller) -> str | None:
         f"/* {name}_lanes.c -- {MARK} from the spec '{name}'; do not edit, change the spec and regenerate.\n"
         f" *\n * The step of {LANES} robots at once: entry e of a signal of robot `lane` is at [e * {LANES} + lane].\n"
         f" * The signals are those of {name}_step, in its order. For -O3, with whatever vectors there are: the\n"
-        " * results do not depend on them.\n */\n\n" + module_text([body], names)
+        f" * results do not depend on them.\n */\n\n{SCHEDULED}" + module_text([body], names)
     )
 
 

@@ -17,7 +17,7 @@ IN_PYTHON, WITHOUT_HEADERS = "ours, step(q=...)", "ours, step(q=...), no Python.
 def ways(robot: Robot) -> dict[str, tuple[CompiledFunction, Step]]:
     """Name -> the function that is called and the step: as it is, and as it is where Python's headers are missing."""
     step, taken = robot.controller.step, planar5 if robot.name == "planar5" else arm7
-    functions = {IN_PYTHON: step, WITHOUT_HEADERS: CompiledFunction(step.info, step.library)}
+    functions = {IN_PYTHON: step, WITHOUT_HEADERS: CompiledFunction(step.info, step.code)}
     for name, array in step.inputs.items():
         functions[WITHOUT_HEADERS].inputs[name][...] = array
     return {name: (function, taken(function)) for name, function in functions.items()}

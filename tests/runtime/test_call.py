@@ -26,7 +26,7 @@ def in_c():
 def step(request, planar5):
     """planar5's step, called either way."""
     kind = CompiledFunction if request.param == "in Python" else request.getfixturevalue("in_c")
-    return kind(planar5.step.info, planar5.step.library)
+    return kind(planar5.step.info, planar5.step.code)
 
 
 def _somewhere(step, seed=0):
