@@ -35,15 +35,18 @@ from clikgen.runtime.compiler import FLAGS, NATIVE, find_compiler
 from clikgen.runtime.controller import CompiledController, CompiledFunction, load_library
 from clikgen.runtime.scenario import CASES, find_scenario, read_scenario
 from clikgen.runtime.simulation import Run, prepare
-from clikgen.symbolic.controller import Controller, build
+from clikgen.symbolic.controller import Controller, ControllerFunction, build
+from clikgen.symbolic.emitter import Names, function_text, module_text
 from clikgen.symbolic.generate import generate
 from clikgen.symbolic.spec import read_spec, shipped_specs
+from clikgen.symbolic.stage import Procedure
 
 ROUNDS = 25
 CALLS = 20_000
 ROLLOUTS = 10
 SAME = 1e-6
 PLAIN = ("-O2", "-fPIC")
+FORMULAS = "the paper's formulas"
 CHAINS = {"add": "add", "sub": "add", "mul": "mul", "div": "div", "sqrt": "sqrt", "select": "select"}
 SINCOS = Counter(add=17, mul=22)  # of our own sine and cosine together, bits aside
 SINCOS_CHAIN = Counter(add=8, mul=9)
@@ -85,21 +88,48 @@ class Floor:
 
 
 def variants(controller: Controller) -> Iterator[Variant]:
+    """CasADi's C and ours, of the paper's formulas, of those with one improvement after the other, and of ours."""
     spec, function = controller.spec, controller.functions[-1]
-    if spec.name in textbook.LAWS:
-        yield Variant("the paper's formulas, CasADi's C, plain flags", _by_casadi(textbook.step(spec, function)), PLAIN)
-    by_casadi = _by_casadi(function.procedure.unrolled(lambda _: True).casadi())
-    yield Variant("CasADi's C, plain flags", by_casadi, PLAIN)
-    yield Variant("CasADi's C, our flags", by_casadi, (*FLAGS, *NATIVE))
-    ours = generate(spec)
-    header, source = ours[f"{spec.name}.h"], ours[f"{spec.name}.c"]
-    yield Variant("ours", source.replace(f'#include "{spec.name}.h"', header), (*FLAGS, *NATIVE))
+    better = textbook.BETTER.get(spec.name)
+    if better is not None:
+        yield Variant(f"{FORMULAS}, CasADi's C, plain flags", _by_casadi(textbook.step(spec, function)), PLAIN)
+    by_casadi = _by_casadi(function.procedure.unrolled(lambda _: True))
+    yield Variant("our expressions, CasADi's C, plain flags", by_casadi, PLAIN)
+    yield Variant("our expressions, CasADi's C, our flags", by_casadi, (*FLAGS, *NATIVE))
+    for count in range(len(better or ()) + 1) if better else ():
+        name = f"  {better[count - 1]}" if count else f"{FORMULAS}, our C"
+        yield Variant(name, _emitted(function, textbook.step(spec, function, better[:count])), (*FLAGS, *NATIVE))
+    files = generate(spec)
+    header, source = files[f"{spec.name}.h"], files[f"{spec.name}.c"]
+    source = source.replace(f'#include "{spec.name}.h"', header)
+    yield Variant("ours with libm's sine and cosine", _with_libm(source), (*FLAGS, *NATIVE))
+    yield Variant("ours", source, (*FLAGS, *NATIVE))
 
 
-def _by_casadi(function: ca.Function) -> str:
+def _by_casadi(procedure: Procedure) -> str:
+    function = procedure.casadi()
     generator = ca.CodeGenerator(function.name())
     generator.add(function)
     return str(generator.dump())
+
+
+def _emitted(function: ControllerFunction, procedure: Procedure) -> str:
+    """In our C, nothing of it in a loop."""
+    names = Names("double")
+    labels = [[one.info.name for one in signals] for signals in (function.inputs, function.outputs)]
+    return module_text([function_text(procedure, *labels, names)], names)
+
+
+def _with_libm(source: str) -> str:
+    """The same but for the sine and the cosine."""
+    text, count = re.subn(
+        r"(static inline void clikgen_sincos\(.*?\) \{\n).*?\n\}",
+        r"\1  *sine = sin(x);\n  *cosine = cos(x);\n}",
+        source,
+        flags=re.DOTALL,
+    )
+    assert count == 1
+    return text
 
 
 def measured(controller: Controller, folder: Path) -> list[tuple[str, float, float, float | None]]:
@@ -336,19 +366,19 @@ def main() -> None:
         return
     print("planar5 from Python, in contact")
     for name, value in document["from Python"].items():
-        print(f"{name:<50}{value:8.0f} ns")
+        print(f"{name:<55}{value:8.0f} ns")
 
 
 def report(name: str, rows: list[tuple[str, float, float, float | None]], least: Floor) -> None:
     ours = rows[-1]
-    print(f"{name:<50}{'ns':>8}{'of ours':>9}{'ns new':>9}{'of ours':>9}{'instructions':>14}")
+    print(f"{name:<55}{'ns':>8}{'of ours':>9}{'ns new':>9}{'of ours':>9}{'instructions':>14}")
     for title, ns, ns_new, count in rows:
         counted = f"{count:14.0f}" if count is not None else f"{'':>14}"
-        print(f"{title:<50}{ns:8.0f}{ns / ours[1]:9.2f}{ns_new:9.0f}{ns_new / ours[2]:9.2f}{counted}")
+        print(f"{title:<55}{ns:8.0f}{ns / ours[1]:9.2f}{ns_new:9.0f}{ns_new / ours[2]:9.2f}{counted}")
     bounds = ", ".join(f"{key} {getattr(least, key):.0f}" for key in least.__slots__)
-    print(f"{'floor: ' + bounds:<50}{least.ns:8.0f}   ours is {ours[1] / least.ns:.2f} times it")
+    print(f"{'floor: ' + bounds:<55}{least.ns:8.0f}   ours is {ours[1] / least.ns:.2f} times it")
     print(
-        f"{'all at once, the longest chain included':<50}{least.at_once:8.0f}   {ours[1] / least.at_once:.2f} times\n"
+        f"{'all at once, the longest chain included':<55}{least.at_once:8.0f}   {ours[1] / least.at_once:.2f} times\n"
     )
 
 

@@ -7,6 +7,7 @@ import tempfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from importlib import metadata
+from itertools import cycle, islice
 from pathlib import Path
 from typing import Any
 
@@ -34,6 +35,7 @@ PART = 80  # steps of the path in a round
 LEAST = 4e6  # [ns] that a part is walked for, again and again
 SAME = 1e-9  # the same law: no number deviates by more, relative to 1 or to the largest of its kind in that state
 OURS_IN_C = "ours, C"
+FLAGS_IN_C = {OURS_IN_C: (), "ours, C, contracted as the C++": ("-ffp-contract=fast",)}
 ELSEWHERE = {"PlaCo": "placo"}  # libraries in an environment of their own
 NOT_THERE = {"oink": "on PyPI that is another thing, a budgeting tool; OInK comes as roboplan-oink"}
 
@@ -128,10 +130,11 @@ def versions() -> dict[str, str]:
 
 def all_candidates(both: Sequence[Robot], place: Path, missing: dict[str, str]) -> Iterator[Candidate]:
     loop = native.loop_library()
-    ours_in_c = native.ours(both, loop)
+    ours_in_c = {name: native.ours(both, loop, flags) for name, flags in FLAGS_IN_C.items()}
     for robot in both:
         yield from ours_in_python(robot)
-        yield native_candidate(OURS_IN_C, robot, "ours", "C", ours_in_c[robot.name])
+        for name, steps in ours_in_c.items():
+            yield native_candidate(name, robot, "ours", "C", steps[robot.name])
     for robot in both:
         yield from in_numpy(robot)
         yield from in_cpp(robot, loop, missing)
@@ -301,7 +304,8 @@ def timed(candidates: Sequence[Candidate], rounds: int) -> list[Times]:
     """Everybody in turn, round after round: a part of the path, single steps of it, the states at random."""
     times = [Times() for _ in candidates]
     laps = [max(1, int(LEAST / max(one.runner.along(0, PART, 1), 1))) for one in candidates]
-    for first in np.linspace(0, STEPS - PART, rounds).astype(int).tolist():
+    starts = np.linspace(0, STEPS - PART, ROUNDS).astype(int).tolist()
+    for first in islice(cycle(starts), rounds):
         for one, lap, time in zip(candidates, laps, times, strict=True):
             one.runner.along(first, first + PART // 8, 1)  # what it needs is in the cache again
             time.rounds.append(one.runner.along(first, first + PART, lap) / (lap * PART))

@@ -14,7 +14,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from clikgen.runtime.compiler import FLAGS, find_compiler
+from clikgen.runtime.compiler import FLAGS, NATIVE, find_compiler
 from peers.environments import BUILD, ENVIRONMENTS
 from peers.work import HERE, HOME, INFLUENCE, RADII, Robot
 
@@ -116,12 +116,12 @@ def loop_library() -> Any:
     return _ffi.dlopen(str(compiled("loop", command, [HERE / "loop.c"], [])))
 
 
-def ours(robots: Sequence[Robot], loop: Any) -> dict[str, Native]:
-    """Our generated C of all robots, compiled as clikgen compiles it."""
+def ours(robots: Sequence[Robot], loop: Any, flags: Sequence[str]) -> dict[str, Native]:
+    """Our generated C of all robots, compiled as clikgen compiles it, with `flags` after its own."""
     sources = [one.controller.folder / f"{one.name}.c" for one in robots]
     include = [f"-I{source.parent}" for source in sources]
     files = [HERE / "ours.c", *sources]
-    library = _ffi.dlopen(str(compiled("ours", [*find_compiler().command, *FLAGS], files, include)))
+    library = _ffi.dlopen(str(compiled("ours", [*find_compiler().command, *FLAGS, *NATIVE, *flags], files, include)))
     library.ours_prepare(_doubles(RADII), _doubles(HOME))
     return {one.name: Native(one, loop, library, getattr(library, f"ours_{one.name}")) for one in robots}
 
