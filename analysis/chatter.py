@@ -183,7 +183,7 @@ def contact(
 
     approach = _jacobians(controller, inputs["q"], index).T @ toward
     v_n = float(toward @ velocity(law_free))
-    damping = float(inputs[f"{_avoidance(controller.manifest)}_damping"])
+    damping = float(inputs[f"{avoidance_task(controller.manifest)}_damping"])
     share = 1 - float(inputs["lam_event"]) * (1 - beta)
     return Contact(
         point=point,
@@ -214,7 +214,7 @@ def contact_in(controller: CompiledController, rollout: Rollout, step: int, poin
 
 def _prepared(controller: CompiledController, rollout: Rollout) -> Run:
     """The inputs that the rollout was given."""
-    _avoidance(controller.manifest)
+    avoidance_task(controller.manifest)
     return prepare(controller, rollout.scenario, rollout.case, rollout.scenario.name)
 
 
@@ -235,14 +235,14 @@ def _contact_in(controller: CompiledController, run: Run, rollout: Rollout, step
 
 def point_index(manifest: Manifest, point: str) -> int:
     """Where a point of interest stands among them; raises BadInput with their names."""
-    _avoidance(manifest)
+    avoidance_task(manifest)
     names = [info.name for info in manifest.points]
     if point not in names:
         raise BadInput(f"{manifest.controller}: no point of interest '{point}'; {choices(point, names)}")
     return names.index(point)
 
 
-def _avoidance(manifest: Manifest) -> str:
+def avoidance_task(manifest: Manifest) -> str:
     """The name of the obstacle avoidance task; raises BadInput without one, or where it is not the paper's switched."""
     for task in manifest.tasks:
         if task.kind == "obstacle_avoidance":
@@ -259,7 +259,7 @@ def _avoidance(manifest: Manifest) -> str:
 def _inputs(controller: CompiledController, values: Mapping[str, ArrayLike], case: Case | None) -> dict[str, Array]:
     """Every input of the step at a state, checked for its shape."""
     step, source = controller.manifest.function("step"), controller.manifest.controller
-    _avoidance(controller.manifest)
+    avoidance_task(controller.manifest)
     share = {} if case is None else {"lam_free": case.lam_free, "lam_event": case.lam_event}
     given = {signal.name: np.reshape(signal.default or np.zeros(signal.shape), signal.shape) for signal in step.inputs}
     for name, value in (dict(values) | share).items():
@@ -292,7 +292,7 @@ def _probe(
     The influence radius of every other point is its smallest, and every obstacle the one in contact.
     """
     gain, smallest = (
-        f"{_avoidance(controller.manifest)}_gain",
+        f"{avoidance_task(controller.manifest)}_gain",
         controller.step.info.input("influence_radius").minimum,
     )
     radii = np.full(inputs["influence_radius"].shape, smallest)
@@ -546,7 +546,7 @@ def measure(rollout: Rollout, during: tuple[float, float] | None = None) -> tupl
     samples outside than inside; or else a sawtooth. Raises BadInput for a rollout or a stretch that is too short, or
     without contact.
     """
-    _avoidance(rollout.manifest)
+    avoidance_task(rollout.manifest)
     first, last = (0, len(rollout.t)) if during is None else (round(t / rollout.period) for t in during)
     first, last = max(first, 0), min(last, len(rollout.t))
     if last - first < SHORTEST:
@@ -690,7 +690,7 @@ def sticking(controller: CompiledController, rollout: Rollout) -> Sticking | Non
 
     Raises BadInput without obstacle avoidance or without a tracking task.
     """
-    task = _avoidance(rollout.manifest)
+    task = avoidance_task(rollout.manifest)
     if rollout.tracked is None:
         raise BadInput(f"{rollout.scenario.name}: wanted a tracking task, without which nothing is asked for")
     run, window = _prepared(controller, rollout), max(1, round(REST / rollout.period))

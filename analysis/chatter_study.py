@@ -21,6 +21,7 @@ from clikgen.analysis.chatter import (
     sticking,
 )
 from clikgen.analysis.chatter_figures import chatter_plates
+from clikgen.analysis.chatter_map import ChatterMap, chatter_map, chatter_map_plate
 from clikgen.analysis.metrics import metrics
 from clikgen.analysis.plates import Plate
 from clikgen.analysis.study import Study, Table
@@ -31,6 +32,7 @@ from clikgen.runtime.scenario import CASES, Scenario
 from clikgen.runtime.simulation import Rollout, prepare
 
 WINDOW = 40  # samples of a stretch, along which v_n and v_t are taken as constant
+MAPPED = (2, 3)  # cases with a filter; where there is hardly any, both are Case 1
 CYCLES = 5  # that a stretch holds at least: slow chatter is looked at in longer ones
 
 
@@ -63,6 +65,7 @@ def _switched_study(controller: CompiledController, scenario: Scenario, source: 
     compared = {number: _compared(controller, rollout, encounters[number]) for number, rollout in rollouts.items()}
     stuck = {number: _stuck(controller, rollout) for number, rollout in rollouts.items()}
     everything = [each for of_case in compared.values() for each in of_case]
+    maps = [chatter_map(controller, scenario, number, CASES[number], source=source) for number in MAPPED]
     document = {
         "controller": controller.manifest.controller,
         "spec_sha256": controller.manifest.spec_sha256,
@@ -77,15 +80,17 @@ def _switched_study(controller: CompiledController, scenario: Scenario, source: 
             }
             for number in rollouts
         },
+        "map": {str(one.case): _map_entry(one) for one in maps},
     }
     return Study(
         title=f"Chatter of {scenario.name} on {controller.manifest.controller}",
         verdicts=[
             *(_words(rollout, encounters[number], compared[number]) for number, rollout in rollouts.items()),
             *(f"Case {number}: {each.explanation}" for number, each in stuck.items() if each is not None),
+            *map(_map_words, maps),
         ],
         tables=[_encounter_table(encounters, rollouts), *([_stretch_table(compared)] if everything else [])],
-        plates=_plates(everything),
+        plates=[*_plates(everything), chatter_map_plate(maps)],
         assumptions=[
             f"Predictions are of the normal map of one point in contact, averaged over {WINDOW} samples or {CYCLES} "
             "cycles: where v_n and v_t change much within that, or several points are in contact, it does not speak.",
@@ -142,6 +147,21 @@ def _words(rollout: Rollout, encounters: Sequence[Measured], compared: Sequence[
     else:
         beforehand = "by the distances as sensed; the normal map knows no noise and no delay, so nothing is predicted"
     return f"Case {rollout.case.number}: {len(encounters)} encounter(s), {' and '.join(regimes)}; {beforehand}."
+
+
+def _map_words(one: ChatterMap) -> str:
+    entry = _map_entry(one)
+    below, between, beyond = (entry[key] for key in ("below_2", "2_to_4", "beyond_4"))
+    return (
+        f"Case {one.case} over gain and filter, {one.switching.size} rollouts: a point goes in or out "
+        f"{below:.2f} times a sample in the median where βK_oT < 2, {between:.2f} times between 2 and 4, "
+        f"{beyond:.2f} times beyond."
+    )
+
+
+def _map_entry(one: ChatterMap) -> dict[str, float]:
+    """Medians of the switches per sample, parted by βK_oT."""
+    return {"below_2": one.median(0.0, 2.0), "2_to_4": one.median(2.0, 4.0), "beyond_4": one.median(4.0, np.inf)}
 
 
 def _encounter_table(encounters: Mapping[int, Sequence[Measured]], rollouts: Mapping[int, Rollout]) -> Table:

@@ -422,9 +422,9 @@ def _closest_contacts(tree: KinematicTree, obstacles: Obstacles, radius: ca.SX) 
         distance, toward, length = Shapes.from_arrays(_restored(shared, arrays)).closest(place, inner)
         wrench, x = Wrench.at("", place, toward), ca.fmax(s - distance, 0)
         force, moment = x / length * wrench.force, x / length * wrench.moment
-        return [], [distance, toward / length, distance - s, x**2, force, moment]
+        return [], [distance, toward / length, x**2, force, moment]
 
-    _, (distance, u, clearance, x_squared, force, moment) = _looped(
+    _, (distance, u, x_squared, force, moment) = _looped(
         "sense", sensed, [], [places, radius.T], [array for array in arrays if array.numel()], stages
     )
 
@@ -439,9 +439,11 @@ def _closest_contacts(tree: KinematicTree, obstacles: Obstacles, radius: ca.SX) 
         wrenches.append(Wrench(link, *total))
 
     def least(mine: Symbols, columns: Symbols, _: Symbols, __: list[Stage]) -> tuple[list[ca.SX], list[ca.SX]]:
-        return [mine[0] + columns[0], ca.fmin(columns[1], mine[1])], []
+        x_squared, distance, s = columns
+        return [mine[0] + x_squared, ca.fmin(distance - s, mine[1])], []
 
-    (potential, lowest), _ = _looped("least", least, [ca.SX(0), ca.SX(2 * FAR)], [x_squared, clearance], [], stages)
+    over = [x_squared, distance, radius.T]
+    (potential, lowest), _ = _looped("least", least, [ca.SX(0), ca.SX(2 * FAR)], over, [], stages)
     contacts = tuple(
         Contact(distance[i], radius[i], u[:, i].T @ _jacobian(tree, point)) for i, point in enumerate(points)
     )

@@ -73,7 +73,9 @@ def test_chatter_of_the_paper_is_predicted(run_clikgen, tmp_path):
     for case in ("2", "3"):
         for stretch in found["cases"][case]["stretches"]:
             assert stretch["predicted"]["regime"] == stretch["measured"]["regime"]
-    assert names(tmp_path, "svg") == {"chatter_regimes", "chatter_agreement", "chatter_examples"}
+    for of_case in found["map"].values():
+        assert of_case["below_2"] < 0.4 < 0.99 < of_case["2_to_4"]
+    assert names(tmp_path, "svg") == {"chatter_regimes", "chatter_agreement", "chatter_examples", "chatter_map"}
 
 
 class Page(HTMLParser):
