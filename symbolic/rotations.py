@@ -16,8 +16,8 @@ TINY = 1e-300  # a square below this is taken for zero: its root, 1e-150, is far
 def quaternion_of(R: ca.SX) -> ca.SX:
     """The unit quaternion (4, 1) of a rotation matrix (3, 3), with w >= 0 (either sign at half a turn, w = 0).
 
-    4 q qᵀ is linear in R; Shepperd (1978): its row with the largest diagonal entry, >= 1, is 4 q_i q with q_i far
-    from zero, whatever the rotation.
+    4 q qᵀ is linear in R; Shepperd (1978): its row with the largest diagonal entry, 4 q_i² >= 1, is 4 q_i q with q_i
+    far from zero, whatever the rotation; the row is twice the root of that entry long.
     """
     w = ca.horzcat(R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1])  # 4 w (x, y, z)
     trace = ca.trace(R)
@@ -30,7 +30,7 @@ def quaternion_of(R: ca.SX) -> ca.SX:
     for i in (1, 2, 3):
         better = rows[i][i] > largest
         best, largest = ca.if_else(better, rows[i], best), ca.if_else(better, rows[i][i], largest)
-    return unit_quaternion(_with_positive_w(best.T))
+    return _with_positive_w(best.T) / (2 * ca.sqrt(largest))
 
 
 def unit_quaternion(q: ca.SX) -> ca.SX:
