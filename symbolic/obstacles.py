@@ -16,6 +16,7 @@ from clikgen.symbolic.signals import Signal, symbol
 from clikgen.symbolic.stage import Body, Loop, Stage
 from clikgen.symbolic.tree import KinematicTree, Wrench
 
+WAYS, MANY = 4, 24  # strands of a loop over so many points or more
 WATCHED = 5  # obstacles that a barrier keeps off a point at once; of more, the nearest ones
 ABSENT = {
     "obstacle": {"center": 0.0, "radius": -FAR},
@@ -152,6 +153,32 @@ def _looped(
     loop = Loop.of(name, body, carried, over, shared)
     stages.append(loop)
     return loop.symbols[: len(carried)], loop.symbols[len(carried) :]
+
+
+Merge = Callable[[Sequence[ca.SX], Sequence[ca.SX]], Sequence[ca.SX]]
+
+
+def _reduced(
+    name: str, step: Merge, merge: Merge, start: Sequence[ca.SX], over: Sequence[ca.SX], stages: list[Stage]
+) -> Sequence[ca.SX]:
+    """What `step` makes of `start` and all columns, in a loop; of many columns in WAYS strands, merged in the end.
+
+    An iteration waits for the one before: strands do not wait for each other.
+    """
+    ways, count = (WAYS if over[0].shape[1] >= MANY else 1), len(start)
+    together = over[0].shape[1] // ways * ways
+
+    def body(mine: Symbols, columns: Symbols, _: Symbols, __: list[Stage]) -> tuple[list[ca.SX], list[ca.SX]]:
+        return [one for k in range(ways) for one in step(mine[k * count : (k + 1) * count], columns[k::ways])], []
+
+    strands = [one[:, k:together:ways] for one in over for k in range(ways)]
+    found, _ = _looped(name, body, [*start] * ways, strands, [], stages)
+    total: Sequence[ca.SX] = found[:count]
+    for k in range(1, ways):
+        total = merge(total, found[k * count : (k + 1) * count])
+    for i in range(together, over[0].shape[1]):
+        total = step(total, [one[:, i] for one in over])
+    return total
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -428,22 +455,24 @@ def _closest_contacts(tree: KinematicTree, obstacles: Obstacles, radius: ca.SX) 
         "sense", sensed, [], [places, radius.T], [array for array in arrays if array.numel()], stages
     )
 
-    def added(mine: Symbols, columns: Symbols, _: Symbols, __: list[Stage]) -> tuple[list[ca.SX], list[ca.SX]]:
-        return [total + one for total, one in zip(mine, columns, strict=True)], []
+    def added(mine: Sequence[ca.SX], columns: Sequence[ca.SX]) -> list[ca.SX]:
+        return [total + one for total, one in zip(mine, columns, strict=True)]
 
     wrenches = []
     for link, here in _by_link(tree).items():
         forces, moments = force[:, here], moment[:, here]
         nothing = [ca.SX.zeros(forces.shape[0]), ca.SX.zeros(moments.shape[0])]
-        total, _ = _looped("add", added, nothing, [forces, moments], [], stages)
-        wrenches.append(Wrench(link, *total))
+        wrenches.append(Wrench(link, *_reduced("add", added, added, nothing, [forces, moments], stages)))
 
-    def least(mine: Symbols, columns: Symbols, _: Symbols, __: list[Stage]) -> tuple[list[ca.SX], list[ca.SX]]:
+    def least(mine: Sequence[ca.SX], columns: Sequence[ca.SX]) -> list[ca.SX]:
         x_squared, distance, s = columns
-        return [mine[0] + x_squared, ca.fmin(distance - s, mine[1])], []
+        return [mine[0] + x_squared, ca.fmin(distance - s, mine[1])]
+
+    def both(mine: Sequence[ca.SX], other: Sequence[ca.SX]) -> list[ca.SX]:
+        return [mine[0] + other[0], ca.fmin(mine[1], other[1])]
 
     over = [x_squared, distance, radius.T]
-    (potential, lowest), _ = _looped("least", least, [ca.SX(0), ca.SX(2 * FAR)], over, [], stages)
+    potential, lowest = _reduced("least", least, both, [ca.SX(0), ca.SX(2 * FAR)], over, stages)
     contacts = tuple(
         Contact(distance[i], radius[i], u[:, i].T @ _jacobian(tree, point)) for i, point in enumerate(points)
     )
