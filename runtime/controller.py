@@ -36,7 +36,7 @@ class CompiledFunction:
     """One generated function with its own buffers.
 
     `inputs` and `outputs` are arrays in the shapes of the manifest that stay the same from call to call: copy what
-    has to outlive the next one. Arrays of doubles in those shapes are taken fastest.
+    has to outlive the next one. Arrays of doubles in those shapes are taken fastest. `code` is the library it is in.
     """
 
     __slots__ = ("_binding", "_kept", "_own", "code", "info", "inputs", "outputs")
