@@ -6,8 +6,8 @@ Each controller is generated, compiled into an empty cache with the flags that s
 at random within the joint limits, with obstacles around the edge of the points' influence regions. `ns` is a step in
 a state that stays for many steps, as nearly in a loop; `ns new` one in a state that has nothing to do with the one
 before, so that the processor guesses its branches wrong. Controllers of one table are stepped in turn, round after
-round; ns are medians of the rounds. Under a sweep: the exponents of cost ~ size^p, the least-squares line through the
-logarithms of its largest sizes.
+round; ns are medians of the rounds. Under a sweep: the exponents p of cost ~ size^p, the least-squares lines through
+the logarithms of all its sizes, and of the largest alone.
 """
 
 import json
@@ -37,7 +37,7 @@ ROUNDS = 5 if QUICK else 25
 STATES = 4096  # at random: so many that no branch predictor learns them by heart
 STAYS = 256  # steps in one state, for `ns`
 BATCH = 5e6  # [ns] that one timed call into C takes at least: the 50 us of Python around it are 1 %
-FITTED = 3  # the largest sizes of a sweep, through which its line goes
+LARGEST = 3  # sizes of a sweep through which its last line goes
 COLUMNS = ("operations", "C_kB", "generate_s", "compile_s", "ns", "ns_new")
 NOT_FASTER = "wanted: ns no faster than linear, p <= 1"
 
@@ -304,17 +304,21 @@ def row(size: int, one: Built, ns: float, ns_new: float) -> Row:
     )
 
 
-def exponents(rows: list[Row]) -> dict[str, float]:
-    """The slope p of log(cost) over log(size) through the largest sizes, for every column."""
-    last = sorted(rows, key=lambda one: one.size)[-FITTED:]
-    sizes = np.log([one.size for one in last])
+def exponents(rows: list[Row]) -> dict[str, dict[str, float]]:
+    """The slope p of log(cost) over log(size) through all sizes and through the largest, for every column."""
+    by_size = sorted(rows, key=lambda one: one.size)
+    return {"all sizes": _slopes(by_size), f"last {LARGEST} sizes": _slopes(by_size[-LARGEST:])}
+
+
+def _slopes(rows: list[Row]) -> dict[str, float]:
+    sizes = np.log([one.size for one in rows])
     return {
-        column: round(float(np.polyfit(sizes, np.log([getattr(one, column) for one in last]), 1)[0]), 2)
+        column: round(float(np.polyfit(sizes, np.log([getattr(one, column) for one in rows]), 1)[0]), 2)
         for column in COLUMNS
     }
 
 
-def report(table: Table, rows: list[Row], grown: dict[str, float]) -> None:
+def report(table: Table, rows: list[Row], grown: dict[str, dict[str, float]]) -> None:
     print(f"{table.title}\n")
     heads = (
         "controller",
@@ -335,9 +339,9 @@ def report(table: Table, rows: list[Row], grown: dict[str, float]) -> None:
             f"{one.controller:<18}{one.joints:8}{one.tasks:8}{one.points:8}{one.obstacles:8}"
             f"{one.operations:14}{one.C_kB:8.0f}{one.generate_s:10.2f}{one.compile_s:8.2f}{one.ns:8.0f}{one.ns_new:8.0f}"
         )
-    if grown:
-        values = "{:14.2f}{:8.2f}{:10.2f}{:8.2f}{:8.2f}{:8.2f}".format(*grown.values())
-        print(f"{f'p of {table.size}^p, last {FITTED} sizes':<50}{values}   {table.requirement}")
+    for which, slopes in grown.items():
+        values = "{:14.2f}{:8.2f}{:10.2f}{:8.2f}{:8.2f}{:8.2f}".format(*slopes.values())
+        print(f"{f'p of {table.size}^p, {which}':<50}{values}   {table.requirement}")
     print(flush=True)
 
 

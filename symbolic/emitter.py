@@ -11,6 +11,7 @@ from typing import Literal
 from clikgen.symbolic import elementary
 from clikgen.symbolic.graph import CONDITIONS, Graph, Node
 from clikgen.symbolic.least_squares import ROUNDING
+from clikgen.symbolic.order import ordered
 from clikgen.symbolic.program_code import program_call
 from clikgen.symbolic.quadratic_program import Solution
 from clikgen.symbolic.stage import Loop, Procedure
@@ -405,7 +406,7 @@ def function_text(procedure: Procedure, inputs: Sequence[str], outputs: Sequence
     lines = [
         f"int {procedure.name}(const {real} **arg, {real} **res, long long int *iw, {real} *w, int mem) {{",
         *_bound(inputs, outputs, block),
-        *block.lines,
+        *ordered(block.lines),
         "  (void)iw, (void)w, (void)mem;",
         "  return 0;",
         "}",

@@ -1,0 +1,72 @@
+"""The order of statements in C: in a long run of assignments, what most waits for comes first.
+
+Neither a compiler nor a processor changes much of a long order: the one keeps to it where it moves instructions at all,
+the other sees a few hundred at once. Written one result after the other, a chain of quotients is begun when all before
+it is done, and then nothing is left to do beside it.
+"""
+
+import re
+from collections.abc import Iterator, Sequence
+from heapq import heappop, heappush
+from itertools import groupby
+
+from clikgen.symbolic.graph import LATENCY
+
+SEEN = 256  # operations that a desktop processor orders by itself
+AT_ONCE = 3  # operations that it begins in a cycle
+PIECE = 300  # assignments ordered together: what is computed long before it is needed leaves the registers
+_ASSIGNMENT = re.compile(r" *const \w+ (t\d+) = (.*);")
+_NAME = re.compile(r"\bt\d+\b")
+_OPERATION = re.compile(r" ([-+*/?]) |(sqrt|atan2)f?\(")
+_KINDS = {"+": "add", "-": "sub", "*": "mul", "/": "div", "?": "select"}
+_PLACES = {"div": 4, "sqrt": 5, "atan2": 40}  # which of those that begin in a cycle these take, others one
+
+
+def ordered(lines: Sequence[str]) -> Iterator[str]:
+    """The same lines, long runs of assignments to new names t1, t2, … in the order in which a piece is done soonest.
+
+    List scheduling: of the assignments whose operands are there the next is that from which the way to the end of the
+    piece is longest, counted in cycles of `LATENCY`; `AT_ONCE` operations begin in a cycle.
+    """
+    for found, run in groupby(lines, lambda line: _ASSIGNMENT.fullmatch(line) is not None):
+        kept = list(run)
+        for first in range(0, len(kept), PIECE):
+            piece = kept[first : first + PIECE]
+            yield from _scheduled(piece) if found else piece
+
+
+def _scheduled(lines: list[str]) -> Iterator[str]:
+    names, values = zip(*(match.groups() for match in map(_ASSIGNMENT.fullmatch, lines) if match), strict=True)
+    kinds = [[_KINDS.get(sign, call) for sign, call in _OPERATION.findall(value)] for value in values]
+    if sum(map(len, kinds)) <= SEEN:
+        yield from lines
+        return
+    place = {name: k for k, name in enumerate(names)}
+    needs = [{place[name] for name in _NAME.findall(value) if name in place} for value in values]
+    users: list[list[int]] = [[] for _ in lines]
+    for k, before in enumerate(needs):
+        for i in before:
+            users[i].append(k)
+    delay = [sum(LATENCY[kind] for kind in own) for own in kinds]
+    way = list(delay)  # from when an assignment begins to the end of the piece
+    for k in reversed(range(len(lines))):
+        way[k] += max((way[i] for i in users[k]), default=0)
+
+    cycle, missing, there = 0.0, [len(before) for before in needs], [0.0] * len(lines)
+    waiting, able = list[tuple[float, int]](), list[tuple[int, int]]()  # operands not there yet, and there
+    for k, count in enumerate(missing):
+        if not count:
+            heappush(waiting, (0.0, k))
+    while waiting or able:
+        cycle = max(cycle, waiting[0][0]) if not able else cycle
+        while waiting and waiting[0][0] <= cycle:
+            k = heappop(waiting)[1]
+            heappush(able, (-way[k], k))
+        k = heappop(able)[1]
+        yield lines[k]
+        cycle += sum(_PLACES.get(kind, 1) for kind in kinds[k]) / AT_ONCE
+        for i in users[k]:
+            there[i] = max(there[i], cycle + delay[k])
+            missing[i] -= 1
+            if not missing[i]:
+                heappush(waiting, (there[i], i))
