@@ -1,4 +1,8 @@
-"""How a candidate is timed: along a part of the path as a whole, or call by call, or in states at random."""
+"""How a candidate is timed: along a part of the path as a whole, or call by call, or in states at random.
+
+What the loop around it takes in Python is not its own: a function that does nothing is timed in its place and taken
+off.
+"""
 
 import json
 import subprocess
@@ -14,6 +18,14 @@ Array = NDArray[np.float64]
 Items = Sequence[tuple[Array, ...]]
 VISITED = 256  # states at random in Python, per round
 ANSWER = "answer: "  # what a helper's line begins with
+IDLE: tuple[Callable[..., Array], ...] = (
+    lambda q: q,
+    lambda q, a: q,
+    lambda q, a, b: q,
+    lambda q, a, b, c: q,
+    lambda q, a, b, c, d: q,
+)
+"""Functions that do nothing: what the loop around a step in Python takes is measured with them, and taken off."""
 
 
 class Runner(Protocol):
@@ -23,7 +35,7 @@ class Runner(Protocol):
         """Nanoseconds that `laps` times the steps first .. last−1 take, from our path's q at `first` on."""
 
     def each(self, first: int, last: int) -> list[int]:
-        """Nanoseconds of each of these steps, the clock's own taken off."""
+        """Nanoseconds of each of these steps, the clock's own and the loop's taken off."""
 
     def way(self) -> Array:
         """Where it is after each step of the whole path, (count, n)."""
@@ -34,32 +46,18 @@ class Function:
 
     def __init__(self, step: Callable[..., Array], q: Array, items: Items) -> None:
         self.step, self.q, self.items = step, q, items
+        self.idle = IDLE[len(items[0])]
 
     def along(self, first: int, last: int, laps: int) -> int:
-        step, items, total = self.step, self.items[first:last], 0
-        for _ in range(laps):
-            q = self.q[first]
-            start = perf_counter_ns()
-            for item in items:
-                q = step(q, *item)
-            total += perf_counter_ns() - start
-        return total
+        return self._along(self.step, first, last, laps) - self._along(self.idle, first, last, laps)
 
     def each(self, first: int, last: int) -> list[int]:
-        step, q, ns = self.step, self.q[first], []
-        for item in self.items[first:last]:
-            start = perf_counter_ns()
-            q = step(q, *item)
-            ns.append(perf_counter_ns() - start)
-        return less_clock(ns)
+        return without_loop(self._each(self.step, first, last), self._each(self.idle, first, last))
 
     def visit(self) -> float:
         """Nanoseconds per step where every step has a q of its own; of the first VISITED."""
-        step, visits = self.step, list(zip(self.q, self.items, strict=True))[:VISITED]
-        start = perf_counter_ns()
-        for q, item in visits:
-            step(q, *item)
-        return (perf_counter_ns() - start) / len(visits)
+        visits = list(zip(self.q, self.items, strict=True))[:VISITED]
+        return (_visited(self.step, visits) - _visited(self.idle, visits)) / len(visits)
 
     def way(self) -> Array:
         q, found = self.q[0], []
@@ -68,31 +66,44 @@ class Function:
             found.append(np.array(q))
         return np.array(found)
 
+    def _along(self, step: Callable[..., Array], first: int, last: int, laps: int) -> int:
+        items, total = self.items[first:last], 0
+        for _ in range(laps):
+            q = self.q[first]
+            start = perf_counter_ns()
+            for item in items:
+                q = step(q, *item)
+            total += perf_counter_ns() - start
+        return total
+
+    def _each(self, step: Callable[..., Array], first: int, last: int) -> list[int]:
+        q, ns = self.q[first], []
+        for item in self.items[first:last]:
+            start = perf_counter_ns()
+            q = step(q, *item)
+            ns.append(perf_counter_ns() - start)
+        return ns
+
+
+def _visited(step: Callable[..., Array], visits: Sequence[tuple[Array, tuple[Array, ...]]]) -> int:
+    start = perf_counter_ns()
+    for q, item in visits:
+        step(q, *item)
+    return perf_counter_ns() - start
+
 
 class Stateful:
     """A library that knows where it is: `start(q)`, then `advance(*item)` once a period."""
 
     def __init__(self, solver: Any, q: Array, items: Items) -> None:
         self.solver, self.q, self.items = solver, q, items
+        self.idle = IDLE[len(items[0]) - 1]
 
     def along(self, first: int, last: int, laps: int) -> int:
-        advance, items, total = self.solver.advance, self.items[first:last], 0
-        for _ in range(laps):
-            self.solver.start(self.q[first])
-            start = perf_counter_ns()
-            for item in items:
-                advance(*item)
-            total += perf_counter_ns() - start
-        return total
+        return self._along(self.solver.advance, first, last, laps) - self._along(self.idle, first, last, laps)
 
     def each(self, first: int, last: int) -> list[int]:
-        advance, ns = self.solver.advance, []
-        self.solver.start(self.q[first])
-        for item in self.items[first:last]:
-            start = perf_counter_ns()
-            advance(*item)
-            ns.append(perf_counter_ns() - start)
-        return less_clock(ns)
+        return without_loop(self._each(self.solver.advance, first, last), self._each(self.idle, first, last))
 
     def way(self) -> Array:
         self.solver.start(self.q[0])
@@ -101,6 +112,25 @@ class Stateful:
             self.solver.advance(*item)
             found.append(np.array(self.solver.q))
         return np.array(found)
+
+    def _along(self, advance: Callable[..., object], first: int, last: int, laps: int) -> int:
+        items, total = self.items[first:last], 0
+        for _ in range(laps):
+            self.solver.start(self.q[first])
+            start = perf_counter_ns()
+            for item in items:
+                advance(*item)
+            total += perf_counter_ns() - start
+        return total
+
+    def _each(self, advance: Callable[..., object], first: int, last: int) -> list[int]:
+        ns = []
+        self.solver.start(self.q[first])
+        for item in self.items[first:last]:
+            start = perf_counter_ns()
+            advance(*item)
+            ns.append(perf_counter_ns() - start)
+        return ns
 
 
 class Remote:
@@ -141,7 +171,7 @@ class Remote:
         raise RuntimeError(line.strip())
 
 
-def less_clock(ns: Sequence[int]) -> list[int]:
-    """Without what asking for the time takes."""
-    clock = int(np.median([-perf_counter_ns() + perf_counter_ns() for _ in range(101)]))
-    return [max(one - clock, 0) for one in ns]
+def without_loop(ns: Sequence[int], idle: Sequence[int]) -> list[int]:
+    """Without what the clock and a call that does nothing take."""
+    common = int(np.median(idle))
+    return [max(one - common, 0) for one in ns]
