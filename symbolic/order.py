@@ -12,21 +12,23 @@ from itertools import groupby
 
 from clikgen.symbolic.graph import LATENCY
 
-SEEN = 256  # operations that a desktop processor orders by itself
-AT_ONCE = 3  # operations that it begins in a cycle
+WINDOW = 256  # operations that a desktop processor looks at together, and orders by itself
+ISSUE_WIDTH = 3  # operations that it begins in a cycle
 PIECE = 300  # assignments ordered together: what is computed long before it is needed leaves the registers
+# as Block.named writes them
 _ASSIGNMENT = re.compile(r" *const \w+ (t\d+) = (.*);")
 _NAME = re.compile(r"\bt\d+\b")
 _OPERATION = re.compile(r" ([-+*/?]) |(sqrt|atan2)f?\(")
 _KINDS = {"+": "add", "-": "sub", "*": "mul", "/": "div", "?": "select"}
-_PLACES = {"div": 4, "sqrt": 5, "atan2": 40}  # which of those that begin in a cycle these take, others one
+_SLOTS = {"div": 4, "sqrt": 5, "atan2": 40}  # of the ISSUE_WIDTH of a cycle; others take one
 
 
 def ordered(lines: Sequence[str]) -> Iterator[str]:
     """The same lines, long runs of assignments to new names t1, t2, … in the order in which a piece is done soonest.
 
-    List scheduling: of the assignments whose operands are there the next is that from which the way to the end of the
-    piece is longest, counted in cycles of `LATENCY`; `AT_ONCE` operations begin in a cycle.
+    List scheduling (Cooper and Torczon, Engineering a Compiler, section 12.3): of the assignments whose operands are
+    there, the next is that with the longest critical path to the end of the piece, in cycles of `LATENCY`, where
+    `ISSUE_WIDTH` operations begin in a cycle. Any other line stays where it is, and nothing moves across it.
     """
     for found, run in groupby(lines, lambda line: _ASSIGNMENT.fullmatch(line) is not None):
         kept = list(run)
@@ -38,7 +40,7 @@ def ordered(lines: Sequence[str]) -> Iterator[str]:
 def _scheduled(lines: list[str]) -> Iterator[str]:
     names, values = zip(*(match.groups() for match in map(_ASSIGNMENT.fullmatch, lines) if match), strict=True)
     kinds = [[_KINDS.get(sign, call) for sign, call in _OPERATION.findall(value)] for value in values]
-    if sum(map(len, kinds)) <= SEEN:
+    if sum(map(len, kinds)) <= WINDOW:
         yield from lines
         return
     place = {name: k for k, name in enumerate(names)}
@@ -48,23 +50,21 @@ def _scheduled(lines: list[str]) -> Iterator[str]:
         for i in before:
             users[i].append(k)
     delay = [sum(LATENCY[kind] for kind in own) for own in kinds]
-    way = list(delay)  # from when an assignment begins to the end of the piece
+    path = list(delay)  # the critical one, from the beginning of an assignment to the end of the piece
     for k in reversed(range(len(lines))):
-        way[k] += max((way[i] for i in users[k]), default=0)
+        path[k] += max((path[i] for i in users[k]), default=0)
 
     cycle, missing, there = 0.0, [len(before) for before in needs], [0.0] * len(lines)
-    waiting, able = list[tuple[float, int]](), list[tuple[int, int]]()  # operands not there yet, and there
-    for k, count in enumerate(missing):
-        if not count:
-            heappush(waiting, (0.0, k))
+    waiting = [(0.0, k) for k, count in enumerate(missing) if not count]  # heap: operands known, there from a cycle on
+    able: list[tuple[int, int]] = []  # heap: operands there
     while waiting or able:
         cycle = max(cycle, waiting[0][0]) if not able else cycle
         while waiting and waiting[0][0] <= cycle:
             k = heappop(waiting)[1]
-            heappush(able, (-way[k], k))
+            heappush(able, (-path[k], k))
         k = heappop(able)[1]
         yield lines[k]
-        cycle += sum(_PLACES.get(kind, 1) for kind in kinds[k]) / AT_ONCE
+        cycle += sum(_SLOTS.get(kind, 1) for kind in kinds[k]) / ISSUE_WIDTH
         for i in users[k]:
             there[i] = max(there[i], cycle + delay[k])
             missing[i] -= 1

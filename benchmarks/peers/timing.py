@@ -18,14 +18,13 @@ Array = NDArray[np.float64]
 Items = Sequence[tuple[Array, ...]]
 VISITED = 256  # states at random in Python, per round
 ANSWER = "answer: "  # what a helper's line begins with
-IDLE: tuple[Callable[..., Array], ...] = (
-    lambda q: q,
-    lambda q, a: q,
-    lambda q, a, b: q,
-    lambda q, a, b, c: q,
-    lambda q, a, b, c, d: q,
-)
-"""Functions that do nothing: what the loop around a step in Python takes is measured with them, and taken off."""
+IDLE: dict[int, Callable[..., Array]] = {
+    2: lambda q, a: q,
+    3: lambda q, a, b: q,
+    4: lambda q, a, b, c: q,
+    5: lambda q, a, b, c, d: q,
+}
+"""Functions of so many arguments that do nothing: what the loop around a step in Python takes is measured with them."""
 
 
 class Runner(Protocol):
@@ -46,7 +45,7 @@ class Function:
 
     def __init__(self, step: Callable[..., Array], q: Array, items: Items) -> None:
         self.step, self.q, self.items = step, q, items
-        self.idle = IDLE[len(items[0])]
+        self.idle = IDLE[1 + len(items[0])]
 
     def along(self, first: int, last: int, laps: int) -> int:
         return self._along(self.step, first, last, laps) - self._along(self.idle, first, last, laps)
@@ -97,7 +96,7 @@ class Stateful:
 
     def __init__(self, solver: Any, q: Array, items: Items) -> None:
         self.solver, self.q, self.items = solver, q, items
-        self.idle = IDLE[len(items[0]) - 1]
+        self.idle = IDLE[len(items[0])]
 
     def along(self, first: int, last: int, laps: int) -> int:
         return self._along(self.solver.advance, first, last, laps) - self._along(self.idle, first, last, laps)
