@@ -21,10 +21,10 @@ from numpy.typing import NDArray
 from clikgen.analysis.sweep_design import AnyAxis, NormalAxis, SweepFile
 from clikgen.analysis.sweep_targets import BY_CASE, Setting, Target, find_targets
 from clikgen.runtime.batch import METRICS, cores, simulate_batch
-from clikgen.runtime.compiler import FLAGS, NATIVE
+from clikgen.runtime.compiler import FLAGS, NATIVE, has_fma
 from clikgen.runtime.controller import CompiledController
 from clikgen.runtime.documents import BadInput, choices, read_text, read_toml
-from clikgen.runtime.manifest import Manifest, SignalInfo, sha256
+from clikgen.runtime.manifest import SignalInfo, sha256
 from clikgen.runtime.references import Csv
 from clikgen.runtime.scenario import CASES, Scenario, find_scenario, read_scenario
 from clikgen.runtime.simulation import Run, prepare
@@ -267,18 +267,20 @@ def bind(source: SweepSource, controller: CompiledController) -> Sweep:
     if (file.case is None) == all(axis.key != "case" for axis in file.axes):
         raise BadInput(f"{source.name}: case: wanted either case = 1, 2 or 3, or an axis 'case'")
     file = file.model_copy(update={"axes": tuple(setting.axis for setting in settings)})
-    sweep = Sweep(file, scenario, controller, tuple(settings), {**source.provenance, **_made_by(manifest)})
+    sweep = Sweep(file, scenario, controller, tuple(settings), {**source.provenance, **_made_by(controller)})
     _check_limits(sweep, source.name)
     return sweep
 
 
-def _made_by(manifest: Manifest) -> dict[str, Any]:
+def _made_by(controller: CompiledController) -> dict[str, Any]:
     """What else decides the numbers: the generated code, how it is compiled, and the packages that draw and measure."""
+    manifest = controller.manifest
     return {
         "controller": manifest.controller,
         "spec_sha256": manifest.spec_sha256,
         "source_sha256": manifest.source_sha256,
         "compiler_flags": [*FLAGS, *NATIVE],
+        "fma": has_fma(controller.folder / f"{manifest.controller}.c"),
         "versions": {name: version(name) for name in ("clikgen", "numpy", "scipy")},
     }
 

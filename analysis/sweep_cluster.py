@@ -114,9 +114,10 @@ def _unpacked(parcel: bytes) -> Sweep:
     folder = cache_folder() / "controllers" / sha256(json_text(files).encode())[:24]
     commit_all({folder / name: text.encode() for name, text in files.items()})
     sweep = bind(source, CompiledController.load(folder))
-    for name, version in provenance["versions"].items():
-        if (own := sweep.provenance["versions"][name]) != version:
-            raise BadInput(f"{name}: wanted {version}, as where the results are written, got {own}")
+    there, here = ({**one["versions"], "fma": one["fma"]} for one in (provenance, sweep.provenance))
+    for name, wanted in there.items():
+        if here[name] != wanted:
+            raise BadInput(f"{name}: wanted {wanted}, as where the results are written, got {here[name]}")
     sweep.make_ready()
     return sweep
 

@@ -3,10 +3,10 @@
 `python benchmarks/batch.py [--json]`
 
 Everything in turn, round after round in one process; medians of the rounds, ratios within a round. All robots are in
-states of their own. "one after the other" is the step in a loop in C, "side by side" the same loop over blocks of
-lanes, both compiled here for the vectors of the row; then `simulate_batch` as it is called, which brings up to date
-what it measures after every step. "arithmetic alone" is a loop without memory on one thread and on all: no program
-gains more from a second core than that.
+states of their own. "one after the other" is the step in a loop in C, as it is, with vectors within a step, and
+without any; "side by side" the same loop over blocks of lanes; all compiled here for the vectors of the row; then
+`simulate_batch` as it is called, which brings up to date what it measures after every step. "arithmetic alone" is a
+loop without memory on one thread and on all: no program gains more from a second core than that.
 """
 
 import json
@@ -39,17 +39,18 @@ HERE = Path(__file__).parent
 VECTORS = {"SSE2": ("x86-64", "sse2"), "AVX2": ("x86-64-v3", "avx2"), "AVX-512": ("x86-64-v4", "avx512dq")}
 _LOOP = "long, long, int, double **, const long *, double **"
 SCALAR = "one after the other, -march=native"
+NO_VECTORS = ("-UCLIKGEN_OPENMP", "-fno-tree-vectorize")
 
 Array = NDArray[np.float64]
 Work = Callable[[], object]
 
 
-def loop(controller: CompiledController, folder: Path, march: str, lanes: int) -> Work:
+def loop(controller: CompiledController, folder: Path, march: str, lanes: int, *extra: str) -> Work:
     """LAPS times all states in C: blocks of `lanes` robots side by side, or one robot after the other."""
     name, info = controller.manifest.controller, controller.step.info
     symbol, source = (f"{name}_step_lanes", f"{name}_lanes.c") if lanes > 1 else (f"{name}_step", f"{name}.c")
-    library = folder / f"{symbol}-{march}.so"
-    flags = (*FLAGS, "-O3", f"-march={march}", "-shared", "-lm")
+    library = folder / f"{symbol}-{march}{''.join(extra)}.so"
+    flags = (*FLAGS, "-O3", f"-march={march}", *extra, "-shared", "-lm")
     sources = (HERE / "batch_loops.c", controller.folder / source)
     subprocess.run([*find_compiler().command, *map(str, sources), *flags, "-o", str(library)], check=True)
     ffi = cffi.FFI()
@@ -108,6 +109,7 @@ def main() -> None:
     with TemporaryDirectory() as place:
         folder, count = Path(place), LAPS * STATES
         ways: dict[str, tuple[Work, int]] = {SCALAR: (loop(controller, folder, "native", 1), count)}
+        ways["the same without vectors"] = loop(controller, folder, "native", 1, *NO_VECTORS), count
         for name, (march, flag) in VECTORS.items():
             if flag in flags:
                 ways[f"side by side, {name}"] = loop(controller, folder, march, controller.manifest.lanes or 1), count

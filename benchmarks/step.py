@@ -4,11 +4,12 @@
 
 Each variant is compiled with its flags and stepped in C, in turn, round after round in one process; medians of the
 rounds. `ns` is a step in a state that stays, `ns new` one in another state every time, in which the processor guesses
-branches wrong. The floor is a model: additions, products, quotients and roots, each at what it costs on this machine
-where nothing waits (`rate`), one after the other, one robot in scalar code; loads, stores and selects for nothing. No
-step can be faster than its longest chain, in which each waits for the one before (`delay`); one that keeps all units
-of the processor busy at once would take the greatest of these alone. Instructions are callgrind's, where valgrind is
-there, and without the vectors of this processor. Then the call from Python, and a rollout.
+branches wrong. The floor is a model: additions, products, with an addition in one (FMA) where there is one, quotients
+and roots, each at what it costs on this machine where nothing waits (`rate`), one after the other, one robot in scalar
+code; loads, stores and selects for nothing. No step can be faster than its longest chain, in which each waits for the
+one before (`delay`); one that keeps all units of the processor busy at once would take the greatest of these alone.
+Instructions are callgrind's, where valgrind is there, and without the vectors and the FMA of this processor. Then the
+call from Python, and a rollout.
 """
 
 import json
@@ -38,6 +39,7 @@ from clikgen.runtime.simulation import Run, prepare
 from clikgen.symbolic.controller import Controller, ControllerFunction, build
 from clikgen.symbolic.emitter import Names, function_text, module_text
 from clikgen.symbolic.generate import generate
+from clikgen.symbolic.graph import FUSED
 from clikgen.symbolic.spec import read_spec, shipped_specs
 from clikgen.symbolic.stage import Procedure
 
@@ -48,8 +50,9 @@ SAME = 1e-6
 PLAIN = ("-O2", "-fPIC")
 FORMULAS = "the paper's formulas"
 CHAINS = {"add": "add", "sub": "add", "mul": "mul", "div": "div", "sqrt": "sqrt", "select": "select"}
-SINCOS = Counter(add=17, mul=22)  # of our own sine and cosine together, bits aside
-SINCOS_CHAIN = Counter(add=8, mul=9)
+CHAINS |= dict.fromkeys(FUSED, "fma")
+SINCOS = Counter(add=2, mul=6, fma=16)  # of our own sine and cosine together, bits aside
+SINCOS_CHAIN = Counter(add=2, mul=3, fma=4)
 HERE = Path(__file__).parent
 _STEP = "int {}(const double **, double **, long long *, double *, int);"
 _CALLS = """
@@ -242,7 +245,7 @@ def _collected(folder: Path, times: int) -> int:
 
 def floor(controller: Controller, rate: dict[str, float], delay: dict[str, float]) -> Floor:
     """The model for a step whose loops are all written out."""
-    graph = controller.functions[-1].procedure.unrolled(lambda _: True).graph()
+    graph = controller.functions[-1].procedure.unrolled(lambda _: True).graph().fused()
     needed = graph.needed()
     count = Counter(CHAINS[graph.nodes[i].operation] for i in needed if graph.nodes[i].operation in CHAINS)
     angles = {graph.nodes[i].arguments for i in needed if graph.nodes[i].operation in ("sin", "cos")}
@@ -257,7 +260,7 @@ def floor(controller: Controller, rate: dict[str, float], delay: dict[str, float
         ready[i] = own + max((ready[k] for k in node.arguments), default=0.0)
     return Floor(
         count["add"] * rate["add"],
-        count["mul"] * rate["mul"],
+        count["mul"] * rate["mul"] + count["fma"] * rate["fma"],
         count["div"] * rate["div"] + count["sqrt"] * rate["sqrt"],
         max(ready.values()),
     )
@@ -266,7 +269,7 @@ def floor(controller: Controller, rate: dict[str, float], delay: dict[str, float
 def units(folder: Path) -> tuple[dict[str, float], dict[str, float]]:
     """Nanoseconds of each operation: where nothing waits, and where each waits for the one before."""
     library = folder / "units.so"
-    flags = ["-O2", "-fno-math-errno", "-fno-trapping-math", "-fPIC", "-shared"]
+    flags = ["-O2", "-fno-math-errno", "-fno-trapping-math", "-fPIC", "-shared", "-march=native", "-ffp-contract=fast"]
     subprocess.run([*find_compiler().command, *flags, "-o", str(library), str(HERE / "units.c"), "-lm"], check=True)
     ffi, kinds = cffi.FFI(), sorted(set(CHAINS.values()))
     ffi.cdef("".join(f"double {way}_{kind}(long, double);" for way in ("rate", "delay") for kind in kinds))

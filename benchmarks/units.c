@@ -37,11 +37,13 @@ static double now(void) {
 
 #define ADD(x) ((x) + z)
 #define MUL(x) ((x) * z)
+#define FMA(x) ((x) * z + z) /* -ffp-contract=fast: one operation where there is one for it */
 #define DIV(x) (z / (x))
 #define SQRT(x) (sqrt(x))
 #define SELECT(x) ((x) < z ? z : (x))
 UNIT(add, ADD)
 UNIT(mul, MUL)
+UNIT(fma, FMA)
 UNIT(div, DIV)
 UNIT(sqrt, SQRT)
 UNIT(select, SELECT)

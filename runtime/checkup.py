@@ -5,7 +5,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from importlib import metadata
 
-from clikgen.runtime.compiler import available_compilers, cache_folder
+from clikgen.runtime.compiler import available_compilers, cache_folder, has_fma
 from clikgen.runtime.controller import CompiledController, CompiledFunction
 from clikgen.runtime.documents import BadInput, write_atomically
 from clikgen.runtime.extension import NoExtension, called_in_c
@@ -63,7 +63,8 @@ def _step() -> Finding:
     except BadInput as error:
         return Finding("planar5", str(error), False, "see the lines above")
     lam = controller.step()["lam"]
-    return Finding("planar5", f"compiled, loaded and stepped (λ = {float(lam):g})", True)
+    fma = "with" if has_fma(controller.folder / "planar5.c") else "without"
+    return Finding("planar5", f"compiled {fma} FMA, loaded and stepped (λ = {float(lam):g})", True)
 
 
 def _call() -> Finding:

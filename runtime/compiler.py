@@ -15,8 +15,8 @@ from pathlib import Path
 from clikgen.runtime.documents import BadInput, make_folder
 from clikgen.runtime.manifest import sha256
 
-# -std=c99 and -ffp-contract=off keep results the same on every machine, and CasADi's C equal to its own evaluation bit
-# for bit; the -fno-* flags keep calls and branches cheap and change no result. With the last two, loops whose
+# -std=c99 and -ffp-contract=off keep results the same whatever the compiler, and CasADi's C equal to its own evaluation
+# bit for bit; the -fno-* flags keep calls and branches cheap and change no result. With the last two, loops whose
 # iterations do not depend on each other run side by side.
 FLAGS = (
     "-std=c99",
@@ -31,7 +31,8 @@ FLAGS = (
     "-DCLIKGEN_OPENMP",
 )
 
-# For what runs here: as wide vectors as this processor has. They change no result either.
+# For what runs here: vectors as wide as this processor has, which change no result, and its FMA, if it has that, for
+# the products and sums that the generated text names: machines with FMA give one result, those without another.
 NATIVE = ("-O3", "-march=native")
 
 
@@ -120,6 +121,15 @@ def library_path(sources: Sequence[Path], compiler: Compiler, extra: Sequence[st
     if "-march=native" in extra:
         key.append(_processor().encode())
     return cache_folder() / f"{sources[0].stem}-{sha256(b''.join(sha256(part).encode() for part in key))[:24]}.so"
+
+
+def has_fma(source: Path, compiler: Compiler | None = None) -> bool:
+    """Whether a product and a sum in this generated C are rounded once here: that decides the last bits of results.
+
+    Raises BadInput when there is no compiler.
+    """
+    command = [*(compiler or find_compiler()).command, *FLAGS, *NATIVE, "-E", str(source)]
+    return "return fma(" in subprocess.run(command, capture_output=True, text=True, check=False).stdout
 
 
 def compile_library(sources: Sequence[Path], compiler: Compiler | None = None, extra: Sequence[str] = ()) -> Path:

@@ -1,7 +1,7 @@
 """Elementary functions as C99 text: no libm, no branch, no table, so that a loop of them runs side by side.
 
-Largest errors, measured against 80-bit results for double and double results for float, with contraction to FMA and
-without, for rounding to nearest:
+Largest errors, measured against 80-bit results for double and double results for float, with FMA and without, for
+rounding to nearest:
 
     function   range                                double                float
     sincos     |x| <= 1e6 rad                       1.8e-16               1.0e-7
@@ -10,6 +10,7 @@ without, for rounding to nearest:
                (float: 1e-30, 1e38)
     floor      all                                  exact                 exact
     ceil       all                                  exact                 exact
+    fma        all                                  0.5 ulp               0.5 ulp, both with CLIKGEN_FMA
 
 `clikgen_sincos(x, &s, &c)` takes n = x / (π/2) to the nearest whole number by adding and subtracting 1.5 2^52 (2^23),
 reduces by r = x - n π/2 in exact steps but for the last one (Cody and Waite: parts of π/2 so short that n times one is
@@ -19,6 +20,10 @@ cos(-x) = cos(x) exactly, though sin(-0) is +0.
 
 `clikgen_atan2(y, x)` has one division: atan t with |t| <= tan π/8, t = y/x, -x/y or (y - x)/(y + x), plus a multiple of
 π/4. Zeros have the signs that C99 gives them: atan2(0, 0) = 0, atan2(0, -0) = π. Two infinities make NaN, as NaN does.
+
+`clikgen_fma(a, b, c)` is a b + c: rounded once where there is an instruction for it (`CLIKGEN_FMA` is 1, as on x86 from
+AVX2 on and on 64-bit ARM), twice elsewhere or given -DCLIKGEN_FMA=0. The text alone says which products and sums that
+are: of each of the two kinds, the results are the same for all compilers, vectors and machines.
 
 The polynomials are minimax fits (Remez) made for this file, on [-π/4, π/4] and [-tan π/8, tan π/8].
 """
@@ -43,8 +48,9 @@ _GUARD = """\
 """
 
 _NEEDS = {
-    "sincos": ("bits",),
-    "atan2": ("bits", "masks"),
+    "fma": (),
+    "sincos": ("bits", "fma"),
+    "atan2": ("bits", "masks", "fma"),
     "floor": ("bits", "masks"),
     "ceil": ("bits", "masks", "floor"),
 }
@@ -65,6 +71,24 @@ static inline double clikgen_real(uint64_t x) {
   return both.real;
 }
 """,
+    "fma": """\
+/* a b + c: rounded once where this processor does that in one instruction, else twice. -DCLIKGEN_FMA=0 has it twice. */
+#if !defined CLIKGEN_FMA && (defined __FP_FAST_FMA || defined __FMA__)
+#define CLIKGEN_FMA 1
+#elif !defined CLIKGEN_FMA && defined __ARM_FEATURE_FMA && defined __ARM_FP
+#define CLIKGEN_FMA (__ARM_FP & 8 ? 1 : 0)
+#elif !defined CLIKGEN_FMA
+#define CLIKGEN_FMA 0
+#endif
+
+static inline double clikgen_fma(double a, double b, double c) {
+#if CLIKGEN_FMA
+  return fma(a, b, c);
+#else
+  return a * b + c;
+#endif
+}
+""",
     "masks": """\
 /* All ones for x < 0 (and -0), else 0: choices that no compiler turns into branches. */
 static inline uint64_t clikgen_negative(double x) { return 0 - (clikgen_bits(x) >> 63); }
@@ -75,20 +99,21 @@ static inline double clikgen_masked(double x, uint64_t mask) { return clikgen_re
 /* Sine and cosine of x [rad] to 1.8e-16 for |x| <= 1e6; NaN from 2^30 on. */
 static inline void clikgen_sincos(double x, double *sine, double *cosine) {
   const double shift = 6755399441055744.0; /* 1.5 * 2^52: a sum with it is a whole number */
-  const uint64_t quadrant = clikgen_bits(x * 0.6366197723675814 + shift); /* in its last two bits */
+  const uint64_t quadrant = clikgen_bits(clikgen_fma(x, 0.6366197723675814, shift)); /* in its last two bits */
   const double n = clikgen_real(quadrant) - shift; /* quarter turns */
   const double away = x * 0x1p+994, fence = away * 0.0; /* from 2^30 on infinite, and NaN; else 0 */
   /* pi/2 in two parts: the first has 31 bits, so that n times it is exact. */
-  const double r = (x - n * 0x1.921fb544p+0) - (n * 0x1.0b4611a626331p-34 + fence); /* |r| <= pi/4 */
+  const double most = clikgen_fma(-n, 0x1.921fb544p+0, x);
+  const double r = most - clikgen_fma(n, 0x1.0b4611a626331p-34, fence); /* |r| <= pi/4 */
   const double z = r * r, z2 = z * z, z4 = z2 * z2;
-  const double p = ((-0.166666666666666 + z * 0.008333333333316218) +
-                    z2 * (-0.00019841269825742733 + z * 2.755731248237617e-06)) +
-                   z4 * (-2.505059086768978e-08 + z * 1.5888058090339975e-10);
-  const double q = ((0.0416666666666666 + z * -0.0013888888888874474) +
-                    z2 * (2.480158728967154e-05 + z * -2.755731440103197e-07)) +
-                   z4 * (2.0875729281370876e-09 + z * -1.1359934243820215e-11);
-  const uint64_t s = clikgen_bits(r + (r * z) * p); /* sin r */
-  const uint64_t c = clikgen_bits((1.0 - 0.5 * z) + z2 * q); /* cos r */
+  const double p = clikgen_fma(z4, clikgen_fma(z, 1.5888058090339975e-10, -2.505059086768978e-08),
+                               clikgen_fma(z2, clikgen_fma(z, 2.755731248237617e-06, -0.00019841269825742733),
+                                           clikgen_fma(z, 0.008333333333316218, -0.166666666666666)));
+  const double q = clikgen_fma(z4, clikgen_fma(z, -1.1359934243820215e-11, 2.0875729281370876e-09),
+                               clikgen_fma(z2, clikgen_fma(z, -2.755731440103197e-07, 2.480158728967154e-05),
+                                           clikgen_fma(z, -0.0013888888888874474, 0.0416666666666666)));
+  const uint64_t s = clikgen_bits(clikgen_fma(r * z, p, r)); /* sin r */
+  const uint64_t c = clikgen_bits(clikgen_fma(z2, q, clikgen_fma(-0.5, z, 1.0))); /* cos r */
   const uint64_t swap = (s ^ c) & (0 - (quadrant & 1));
   const uint64_t sign = UINT64_C(1) << 63;
   *sine = clikgen_real(s ^ swap ^ ((quadrant << 62) & sign));
@@ -100,21 +125,24 @@ static inline void clikgen_sincos(double x, double *sine, double *cosine) {
 static inline double clikgen_atan2(double y, double x) {
   const double quarter = 0.7853981633974483; /* pi/4 */
   const double width = fabs(x), height = fabs(y);
-  const uint64_t over = clikgen_negative(0.41421356237309503 * width - height); /* above pi/8 */
-  const uint64_t high = clikgen_negative(width - 0.41421356237309503 * height); /* above 3 pi/8 */
+  const uint64_t over = clikgen_negative(clikgen_fma(0.41421356237309503, width, -height)); /* above pi/8 */
+  const uint64_t high = clikgen_negative(clikgen_fma(-0.41421356237309503, height, width)); /* above 3 pi/8 */
   const double above = clikgen_masked(height, ~high) - clikgen_masked(width, over);
   const double along = clikgen_masked(height, over) + clikgen_masked(width, ~high);
   const double t = above / (along + 0x1p-1022); /* no 0/0 */
   const double z = t * t, z2 = z * z, z4 = z2 * z2;
-  const double p = (((-0.333333333333332 + z * 0.19999999999953819) +
-                     z2 * (-0.14285714280220516 + z * 0.1111111078463026)) +
-                    z4 * ((-0.09090897789544128 + z * 0.07692060738371383) +
-                          z2 * (-0.066631094589356 + z * 0.05847924541171357))) +
-                   (z4 * z4) * ((-0.050394447102604156 + z * 0.038067648405380294) + z2 * -0.01791009115654968);
+  const double p = clikgen_fma(
+      z4 * z4,
+      clikgen_fma(z2, -0.01791009115654968, clikgen_fma(z, 0.038067648405380294, -0.050394447102604156)),
+      clikgen_fma(z4,
+                  clikgen_fma(z2, clikgen_fma(z, 0.05847924541171357, -0.066631094589356),
+                              clikgen_fma(z, 0.07692060738371383, -0.09090897789544128)),
+                  clikgen_fma(z2, clikgen_fma(z, 0.1111111078463026, -0.14285714280220516),
+                              clikgen_fma(z, 0.19999999999953819, -0.333333333333332))));
   /* For x < 0 everything is pi less, and its magnitude the angle. */
   const double rest = clikgen_masked(quarter, ~over) + clikgen_masked(quarter, ~high);
   const double base = copysign(2 * quarter, x) - rest;
-  return copysign(base + (t + (t * z) * p), y);
+  return copysign(base + clikgen_fma(t * z, p, t), y);
 }
 """,
     "floor": """\
@@ -146,6 +174,24 @@ static inline float clikgen_real(uint32_t x) {
   return both.real;
 }
 """,
+    "fma": """\
+/* a b + c: rounded once where this processor does that in one instruction, else twice. -DCLIKGEN_FMA=0 has it twice. */
+#if !defined CLIKGEN_FMA && (defined __FP_FAST_FMAF || defined __FMA__)
+#define CLIKGEN_FMA 1
+#elif !defined CLIKGEN_FMA && defined __ARM_FEATURE_FMA && defined __ARM_FP
+#define CLIKGEN_FMA (__ARM_FP & 4 ? 1 : 0)
+#elif !defined CLIKGEN_FMA
+#define CLIKGEN_FMA 0
+#endif
+
+static inline float clikgen_fma(float a, float b, float c) {
+#if CLIKGEN_FMA
+  return fmaf(a, b, c);
+#else
+  return a * b + c;
+#endif
+}
+""",
     "masks": """\
 /* All ones for x < 0 (and -0), else 0: choices that no compiler turns into branches. */
 static inline uint32_t clikgen_negative(float x) { return 0 - (clikgen_bits(x) >> 31); }
@@ -156,17 +202,18 @@ static inline float clikgen_masked(float x, uint32_t mask) { return clikgen_real
 /* Sine and cosine of x [rad] to 1.0e-7 for |x| <= 1e6; NaN from 2^20 on. */
 static inline void clikgen_sincos(float x, float *sine, float *cosine) {
   const float shift = 12582912.0f; /* 1.5 * 2^23: a sum with it is a whole number */
-  const uint32_t quadrant = clikgen_bits(x * 0.636619747f + shift); /* in its last two bits */
+  const uint32_t quadrant = clikgen_bits(clikgen_fma(x, 0.636619747f, shift)); /* in its last two bits */
   const float n = clikgen_real(quadrant) - shift; /* quarter turns */
   const float away = x * 0x1p+108f, fence = away * 0.0f; /* from 2^20 on infinite, and NaN; else 0 */
   /* pi/2 in five parts: the first four have at most 4 bits, so that n times each is exact. */
-  const float most = (((x - n * 1.5f) - n * 0.0703125f) - n * 0x1p-11f) + n * 0x1.2p-18f;
-  const float r = most + (n * 0x1.5dde98p-23f + fence); /* |r| <= pi/4, and 0.04 more near |x| = 1e6 */
+  const float most = clikgen_fma(n, 0x1.2p-18f,
+                                 clikgen_fma(-n, 0x1p-11f, clikgen_fma(-n, 0.0703125f, clikgen_fma(-n, 1.5f, x))));
+  const float r = most + clikgen_fma(n, 0x1.5dde98p-23f, fence); /* |r| <= pi/4, and 0.04 more near |x| = 1e6 */
   const float z = r * r, z2 = z * z;
-  const float p = (-0.166666448f + z * 0.00833166111f) + z2 * -0.000194570326f;
-  const float q = (0.0416666381f + z * -0.00138869474f) + z2 * 2.43915183e-05f;
-  const uint32_t s = clikgen_bits(r + (r * z) * p); /* sin r */
-  const uint32_t c = clikgen_bits((1.0f - 0.5f * z) + z2 * q); /* cos r */
+  const float p = clikgen_fma(z2, -0.000194570326f, clikgen_fma(z, 0.00833166111f, -0.166666448f));
+  const float q = clikgen_fma(z2, 2.43915183e-05f, clikgen_fma(z, -0.00138869474f, 0.0416666381f));
+  const uint32_t s = clikgen_bits(clikgen_fma(r * z, p, r)); /* sin r */
+  const uint32_t c = clikgen_bits(clikgen_fma(z2, q, clikgen_fma(-0.5f, z, 1.0f))); /* cos r */
   const uint32_t swap = (s ^ c) & (0 - (quadrant & 1));
   const uint32_t sign = UINT32_C(1) << 31;
   *sine = clikgen_real(s ^ swap ^ ((quadrant << 30) & sign));
@@ -178,17 +225,18 @@ static inline void clikgen_sincos(float x, float *sine, float *cosine) {
 static inline float clikgen_atan2(float y, float x) {
   const float quarter = 0.785398185f; /* pi/4, and what it lacks is -2.8e-8 of it */
   const float width = fabsf(x), height = fabsf(y);
-  const uint32_t over = clikgen_negative(0.414213568f * width - height); /* above pi/8 */
-  const uint32_t high = clikgen_negative(width - 0.414213568f * height); /* above 3 pi/8 */
+  const uint32_t over = clikgen_negative(clikgen_fma(0.414213568f, width, -height)); /* above pi/8 */
+  const uint32_t high = clikgen_negative(clikgen_fma(-0.414213568f, height, width)); /* above 3 pi/8 */
   const float above = clikgen_masked(height, ~high) - clikgen_masked(width, over);
   const float along = clikgen_masked(height, over) + clikgen_masked(width, ~high);
   const float t = above / (along + 0x1p-126f); /* no 0/0 */
   const float z = t * t, z2 = z * z;
-  const float p = (-0.333329558f + z * 0.199779436f) + z2 * (-0.138800085f + z * 0.0806075558f);
+  const float p = clikgen_fma(z2, clikgen_fma(z, 0.0806075558f, -0.138800085f),
+                              clikgen_fma(z, 0.199779436f, -0.333329558f));
   /* For x < 0 everything is pi less, and its magnitude the angle. */
   const float rest = clikgen_masked(quarter, ~over) + clikgen_masked(quarter, ~high);
   const float base = copysignf(2 * quarter, x) - rest;
-  return copysignf(base + (base * -2.78275341e-08f + (t + (t * z) * p)), y);
+  return copysignf(base + clikgen_fma(base, -2.78275341e-08f, clikgen_fma(t * z, p, t)), y);
 }
 """,
     "floor": """\

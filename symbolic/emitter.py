@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 from clikgen.symbolic import elementary
-from clikgen.symbolic.graph import CONDITIONS, Graph, Node
+from clikgen.symbolic.graph import CONDITIONS, FUSED, Graph, Node
 from clikgen.symbolic.least_squares import ROUNDING
 from clikgen.symbolic.order import ordered
 from clikgen.symbolic.program_code import program_call
@@ -37,7 +37,7 @@ LEAST_FLOAT = 1e-30
 _BINARY = {"add": ("+", 4), "sub": ("-", 4), "mul": ("*", 5), "div": ("/", 5)}
 _RELATION = {"lt": "<", "le": "<=", "eq": "==", "ne": "!="}
 _JOINED = {"and": "&", "or": "|"}
-_ATOM, _SIGN = 9, 6
+_ATOM, _CALL, _SIGN = 9, 8, 6
 
 
 @dataclass(frozen=True, slots=True)
@@ -124,7 +124,7 @@ class Block:
     _uses: Counter[int] = field(default_factory=Counter)
 
     def __post_init__(self) -> None:
-        self.graph = self.procedure.graph()
+        self.graph = self.procedure.graph().fused()
         needed = self.graph.needed()
         self._uses = Counter(k for i in needed for k in self.graph.nodes[i].arguments)
         self._uses.update(i for result in self.graph.results for i in result)
@@ -330,7 +330,7 @@ class Block:
             # the right operand's parentheses keep the order of the operations
             return Text(f"{x[0].within(level)} {sign} {x[1].within(level + 1)}", level)
         if operation == "neg":
-            return Text(f"-({x[0].text})" if x[0].text.startswith("-") else f"-{x[0].within(_SIGN)}", _SIGN)
+            return _negative(x[0])
         if operation in _RELATION:
             return Text(f"{x[0].within(4)} {_RELATION[operation]} {x[1].within(4)}", 3)
         if operation in _JOINED:
@@ -342,9 +342,23 @@ class Block:
         if operation in ("max", "min"):
             a, b = map(self.atom, node.arguments)
             return Text(f"{a} {'>' if operation == 'max' else '<'} {b} ? {a} : {b}", 1)
+        if operation in FUSED:
+            return self._fused(node)
         if operation in ("sin", "cos"):
             return self._sine_or_cosine(operation, node.arguments[0], x[0].text)
         return self._call(operation, [one.text for one in x])
+
+    def _fused(self, node: Node) -> Text:
+        """A product and a sum in one call, of operands that leave room on a line."""
+        for i in sorted(node.arguments, key=lambda i: -len(self._known[i].text)):
+            if sum(len(self._known[k].text) for k in node.arguments) > WIDEST:
+                self.atom(i)
+        first, second, last = (self._known[i] for i in node.arguments)
+        if node.operation == "fnmadd":
+            first = _negative(first)
+        elif node.operation == "fmsub":
+            last = _negative(last)
+        return self._call("fma", [first.text, second.text, last.text])
 
     def _sines_and_cosines(self) -> None:
         """Of all angles that are given, side by side."""
@@ -370,9 +384,9 @@ class Block:
     def _call(self, operation: str, arguments: Sequence[str]) -> Text:
         suffix = "f" if self.names.real == "float" else ""
         if operation in ("sqrt", "abs"):
-            return Text(f"{'f' * (operation == 'abs')}{operation}{suffix}({', '.join(arguments)})")
+            return Text(f"{'f' * (operation == 'abs')}{operation}{suffix}({', '.join(arguments)})", _CALL)
         self.names.helpers.add(operation)
-        return Text(f"clikgen_{operation}({', '.join(arguments)})")
+        return Text(f"clikgen_{operation}({', '.join(arguments)})", _CALL)
 
     def _sine_or_cosine(self, operation: str, angle: int, text: str) -> Text:
         """Both, once for each angle."""
@@ -386,6 +400,10 @@ class Block:
             if number is not None:
                 self._known[number] = value
         return pair[operation]
+
+
+def _negative(text: Text) -> Text:
+    return Text(f"-({text.text})" if text.text.startswith("-") else f"-{text.within(_SIGN)}", _SIGN)
 
 
 def _column(matrix: Array, counter: str) -> Array:

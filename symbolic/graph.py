@@ -2,14 +2,20 @@
 
 from collections import Counter
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from heapq import heapify, heappop, heappush
 from typing import Self
 
 import casadi as ca
 
 CONDITIONS = {"lt", "le", "eq", "ne", "not", "and", "or"}
-LATENCY = {"add": 3, "sub": 3, "mul": 3, "div": 13, "sqrt": 20, "sin": 60, "cos": 60, "atan2": 80, "select": 2}
+FUSED = ("fmadd", "fmsub", "fnmadd")
+"""Of a, b and c: a b + c, a b - c and c - a b, rounded once."""
+
+LATENCY = {
+    **{"add": 3, "sub": 3, "mul": 3, "div": 13, "sqrt": 20, "sin": 60, "cos": 60, "atan2": 80, "select": 2},
+    **dict.fromkeys(FUSED, 4),
+}
 """Cycles of an operation on a desktop processor; the others take about one. Only their proportions matter."""
 
 _SUMS = ("add", "sub")
@@ -128,6 +134,28 @@ class Graph:
     def operations(self, roots: Sequence[int] | None = None) -> int:
         """How many operations that is."""
         return sum(bool(self.nodes[i].arguments) for i in self.needed(roots))
+
+    def fused(self) -> "Graph":
+        """The same with a b + c, a b - c and c - a b as one node each where the product is used nowhere else.
+
+        Of two products in a sum it is the one that is ready last: the other one is there by then.
+        """
+        needed = self.needed()
+        uses = Counter(k for i in needed for k in self.nodes[i].arguments)
+        uses.update(i for result in self.results for i in result)
+        graph = Graph()
+        here: dict[int, int] = {}
+        for i in needed:
+            node = self.nodes[i]
+            operation, arguments = node.operation, node.arguments
+            products = [k for k in arguments if self.nodes[k].operation == "mul" and uses[k] == 1]
+            if operation in _SUMS and products:
+                product = max(products, key=self.depth.__getitem__)
+                operation = "fmadd" if operation == "add" else "fmsub" if product == arguments[0] else "fnmadd"
+                arguments = (*self.nodes[product].arguments, sum(arguments) - product)
+            here[i] = graph._numbered(replace(node, operation=operation, arguments=tuple(here[k] for k in arguments)))
+        graph.results = [[here[i] for i in result] for result in self.results]
+        return graph
 
     def _read(self, function: ca.Function) -> None:
         work: dict[int, int] = {}

@@ -18,8 +18,8 @@ PIECE = 300  # assignments ordered together: what is computed long before it is 
 # as Block.named writes them
 _ASSIGNMENT = re.compile(r" *const \w+ (t\d+) = (.*);")
 _NAME = re.compile(r"\bt\d+\b")
-_OPERATION = re.compile(r" ([-+*/?]) |(sqrt|atan2)f?\(")
-_KINDS = {"+": "add", "-": "sub", "*": "mul", "/": "div", "?": "select"}
+_OPERATION = re.compile(r" ([-+*/?]) |(sqrt|atan2|fma)f?\(")
+_KINDS = {"+": "add", "-": "sub", "*": "mul", "/": "div", "?": "select", "fma": "fmadd"}
 _SLOTS = {"div": 4, "sqrt": 5, "atan2": 40}  # of the ISSUE_WIDTH of a cycle; others take one
 
 
@@ -39,7 +39,7 @@ def ordered(lines: Sequence[str]) -> Iterator[str]:
 
 def _scheduled(lines: list[str]) -> Iterator[str]:
     names, values = zip(*(match.groups() for match in map(_ASSIGNMENT.fullmatch, lines) if match), strict=True)
-    kinds = [[_KINDS.get(sign, call) for sign, call in _OPERATION.findall(value)] for value in values]
+    kinds = [[_KINDS.get(sign or call, call) for sign, call in _OPERATION.findall(value)] for value in values]
     if sum(map(len, kinds)) <= WINDOW:
         yield from lines
         return

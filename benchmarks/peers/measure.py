@@ -35,7 +35,7 @@ PART = 80  # steps of the path in a round
 LEAST = 4e6  # [ns] that a part is walked for, again and again
 SAME = 1e-9  # the same law: no number deviates by more, relative to 1 or to the largest of its kind in that state
 OURS_IN_C = "ours, C"
-FLAGS_IN_C = {OURS_IN_C: (), "ours, C, contracted as the C++": ("-ffp-contract=fast",)}
+FLAGS_IN_C = {OURS_IN_C: (), "ours, C, without FMA": ("-DCLIKGEN_FMA=0",)}
 ELSEWHERE = {"PlaCo": "placo"}  # libraries in an environment of their own
 NOT_THERE = {"oink": "on PyPI that is another thing, a budgeting tool; OInK comes as roboplan-oink"}
 

@@ -2,7 +2,7 @@
  *
  * The step of 16 robots at once: entry e of a signal of robot `lane` is at [e * 16 + lane].
  * The signals are those of planar3_step, in its order. For -O3, with whatever vectors there are: the
- * results do not depend on them.
+ * results do not depend on them, and are those of planar3_step compiled with FMA as this is, or without.
  */
 
 /* Many operations here wait for none of the others: gcc shall order them, with an eye on its registers. */
@@ -45,23 +45,41 @@ static inline double clikgen_real(uint64_t x) {
   return both.real;
 }
 
+/* a b + c: rounded once where this processor does that in one instruction, else twice. -DCLIKGEN_FMA=0 has it twice. */
+#if !defined CLIKGEN_FMA && (defined __FP_FAST_FMA || defined __FMA__)
+#define CLIKGEN_FMA 1
+#elif !defined CLIKGEN_FMA && defined __ARM_FEATURE_FMA && defined __ARM_FP
+#define CLIKGEN_FMA (__ARM_FP & 8 ? 1 : 0)
+#elif !defined CLIKGEN_FMA
+#define CLIKGEN_FMA 0
+#endif
+
+static inline double clikgen_fma(double a, double b, double c) {
+#if CLIKGEN_FMA
+  return fma(a, b, c);
+#else
+  return a * b + c;
+#endif
+}
+
 /* Sine and cosine of x [rad] to 1.8e-16 for |x| <= 1e6; NaN from 2^30 on. */
 static inline void clikgen_sincos(double x, double *sine, double *cosine) {
   const double shift = 6755399441055744.0; /* 1.5 * 2^52: a sum with it is a whole number */
-  const uint64_t quadrant = clikgen_bits(x * 0.6366197723675814 + shift); /* in its last two bits */
+  const uint64_t quadrant = clikgen_bits(clikgen_fma(x, 0.6366197723675814, shift)); /* in its last two bits */
   const double n = clikgen_real(quadrant) - shift; /* quarter turns */
   const double away = x * 0x1p+994, fence = away * 0.0; /* from 2^30 on infinite, and NaN; else 0 */
   /* pi/2 in two parts: the first has 31 bits, so that n times it is exact. */
-  const double r = (x - n * 0x1.921fb544p+0) - (n * 0x1.0b4611a626331p-34 + fence); /* |r| <= pi/4 */
+  const double most = clikgen_fma(-n, 0x1.921fb544p+0, x);
+  const double r = most - clikgen_fma(n, 0x1.0b4611a626331p-34, fence); /* |r| <= pi/4 */
   const double z = r * r, z2 = z * z, z4 = z2 * z2;
-  const double p = ((-0.166666666666666 + z * 0.008333333333316218) +
-                    z2 * (-0.00019841269825742733 + z * 2.755731248237617e-06)) +
-                   z4 * (-2.505059086768978e-08 + z * 1.5888058090339975e-10);
-  const double q = ((0.0416666666666666 + z * -0.0013888888888874474) +
-                    z2 * (2.480158728967154e-05 + z * -2.755731440103197e-07)) +
-                   z4 * (2.0875729281370876e-09 + z * -1.1359934243820215e-11);
-  const uint64_t s = clikgen_bits(r + (r * z) * p); /* sin r */
-  const uint64_t c = clikgen_bits((1.0 - 0.5 * z) + z2 * q); /* cos r */
+  const double p = clikgen_fma(z4, clikgen_fma(z, 1.5888058090339975e-10, -2.505059086768978e-08),
+                               clikgen_fma(z2, clikgen_fma(z, 2.755731248237617e-06, -0.00019841269825742733),
+                                           clikgen_fma(z, 0.008333333333316218, -0.166666666666666)));
+  const double q = clikgen_fma(z4, clikgen_fma(z, -1.1359934243820215e-11, 2.0875729281370876e-09),
+                               clikgen_fma(z2, clikgen_fma(z, -2.755731440103197e-07, 2.480158728967154e-05),
+                                           clikgen_fma(z, -0.0013888888888874474, 0.0416666666666666)));
+  const uint64_t s = clikgen_bits(clikgen_fma(r * z, p, r)); /* sin r */
+  const uint64_t c = clikgen_bits(clikgen_fma(z2, q, clikgen_fma(-0.5, z, 1.0))); /* cos r */
   const uint64_t swap = (s ^ c) & (0 - (quadrant & 1));
   const uint64_t sign = UINT64_C(1) << 63;
   *sine = clikgen_real(s ^ swap ^ ((quadrant << 62) & sign));
@@ -101,9 +119,9 @@ void planar3_step_lanes(const double *const *arg, double *const *res) {
   for (int lane = 0; lane < LANES; ++lane) {
     const double t1 = period[0 * LANES + lane] * 6.283185307179586;
     const double t2 = t1 * filter_cutoff[0 * LANES + lane];
-    const double t3 = 1.0 - lam_free[0 * LANES + lane] * (1.0 - t2 / (1.0 + t2));
+    const double t3 = clikgen_fma(-lam_free[0 * LANES + lane], 1.0 - t2 / (1.0 + t2), 1.0);
     const double t4 = posture_reference[0 * LANES + lane] - q[0 * LANES + lane];
-    const double t5 = posture_reference_velocity[0 * LANES + lane] + posture_gain[0 * LANES + lane] * t4;
+    const double t5 = clikgen_fma(posture_gain[0 * LANES + lane], t4, posture_reference_velocity[0 * LANES + lane]);
     const double t6 = posture_damping[0 * LANES + lane] * posture_damping[0 * LANES + lane];
     const double t7 = posture_near_singularity[0 * LANES + lane] * posture_near_singularity[0 * LANES + lane];
     const double t8 = 1.0 - 0.3333333333333333 / t7;
@@ -116,87 +134,93 @@ void planar3_step_lanes(const double *const *arg, double *const *res) {
     const double t15 = 0.5 * c14;
     double s16, c17;
     clikgen_sincos(q[1 * LANES + lane], &s16, &c17);
-    const double t18 = c14 * c17 - s13 * s16;
+    const double t18 = clikgen_fma(c14, c17, -(s13 * s16));
     double s19, c20;
     clikgen_sincos(q[2 * LANES + lane], &s19, &c20);
-    const double t21 = c14 * s16 + c17 * s13;
-    const double t22 = 0.25 * (t18 * c20 - t21 * s19);
-    const double t23 = t22 + (t15 + 0.4 * t18);
+    const double t21 = clikgen_fma(c14, s16, c17 * s13);
+    const double t22 = 0.25 * clikgen_fma(t18, c20, -(t21 * s19));
+    const double t23 = t22 + clikgen_fma(0.4, t18, t15);
     const double t24 = tool_reference[0 * LANES + lane] - t23;
     const double t25 = 0.5 * s13;
-    const double t26 = 0.25 * (c20 * t21 + t18 * s19);
-    const double t27 = t26 + (t25 + 0.4 * t21);
+    const double t26 = 0.25 * clikgen_fma(c20, t21, t18 * s19);
+    const double t27 = t26 + clikgen_fma(0.4, t21, t25);
     const double t28 = tool_reference[1 * LANES + lane] - t27;
-    const double t29 = tool_gain[2 * LANES + lane] * t24 + tool_gain[3 * LANES + lane] * t28;
-    const double t30 = t24 * tool_gain[0 * LANES + lane] + t28 * tool_gain[1 * LANES + lane];
-    const double t31 = tool_speed[0 * LANES + lane] * tool_speed[0 * LANES + lane];
-    const double t32 = t30 * t30 + t29 * t29;
-    const double t33 = tool_speed[0 * LANES + lane] / sqrt(t32 > t31 ? t32 : t31);
-    const double t34 = t23 - t15;
-    const double t35 = posture_reference[1 * LANES + lane] - q[1 * LANES + lane];
-    const double t36 = posture_reference_velocity[1 * LANES + lane] + posture_gain[1 * LANES + lane] * t35;
-    const double t37 = t10 + t11 * 4.263256414560601e-14;
-    const double t38 = 1.0 / (t11 > t37 ? t11 : t37);
-    const double t39 = t36 * t38;
-    const double t40 = posture_reference[2 * LANES + lane] - q[2 * LANES + lane];
-    const double t41 = posture_reference_velocity[2 * LANES + lane] + posture_gain[2 * LANES + lane] * t40;
-    const double t42 = t38 * t41;
-    const double t43 = t27 - t25;
-    const double t44 = t34 * t43 + (t23 * t27 + t22 * t26);
-    const double t45 = t43 * t43 + (t27 * t27 + t26 * t26);
-    const double t46 = tool_damping[0 * LANES + lane] * tool_damping[0 * LANES + lane];
-    const double t47 = t45 * 1.4210854715202004e-14 + 1e-200;
-    const double t48 = t45 > t47 ? t45 : t47;
-    const double t49 = 1.0 / t48;
-    const double t50 = t44 * t49;
-    const double t51 = t50 * t50;
-    const double t52 = t34 * t34 + (t23 * t23 + t22 * t22);
-    const double t53 = t52 - t48 * t51;
-    const double t54 = 1e-200 + 1.4210854715202004e-14 * t52;
-    const double t55 = tool_near_singularity[0 * LANES + lane] * tool_near_singularity[0 * LANES + lane];
-    const double t56 = 1.0 / (t49 + (1.0 + t51) / (t53 > t54 ? t53 : t54)) * (1.0 / t55);
-    const double t57 = 1.0 - t56;
-    const double t58 = 0.0 > t57 ? 0.0 : t57;
-    const double t59 = t46 * (t58 * t58);
-    const double t60 = t45 + t59;
-    const double t61 = 1.0 / t60;
-    const double t62 = t44 * t61;
-    const double t63 = t12 * t27 + (tool_reference_velocity[0 * LANES + lane] + t26 * t42);
-    const double t64 = t30 * t33 + (t39 * t43 + t63);
-    const double t65 = tool_reference_velocity[1 * LANES + lane] - t22 * t42 - t12 * t23;
-    const double t66 = t52 + t59;
-    const double t67 = t66 - t60 * (t62 * t62);
-    const double t68 = t59 + 1.4210854715202004e-14 * (t60 + t66);
-    const double t69 = (t62 * t64 + (t29 * t33 + (t65 - t34 * t39))) / (t67 > t68 ? t67 : t68);
-    const double t70 = t61 * t64 + t62 * t69;
-    const double t71 = t12 + t23 * t69 - t27 * t70;
-    const double t72 = t39 + t34 * t69 - t43 * t70;
-    const double t73 = fabs(t71) * (1.0 / velocity_limit[0 * LANES + lane]);
-    const double t74 = fabs(t72) * (1.0 / velocity_limit[1 * LANES + lane]);
-    const double t75 = t42 + t22 * t69 - t26 * t70;
-    const double t76 = t73 > t74 ? t73 : t74;
-    const double t77 = fabs(t75) * (1.0 / velocity_limit[2 * LANES + lane]);
-    const double t78 = t76 > t77 ? t76 : t77;
-    const double t79 = 1.0 / (1.0 > t78 ? 1.0 : t78);
-    const double t80 = t71 * t79;
-    const double t81 = t3 * t80;
-    q_next[0 * LANES + lane] = q[0 * LANES + lane] + period[0 * LANES + lane] * t81;
-    const double t82 = t1 * filter_cutoff[1 * LANES + lane];
-    const double t83 = 1.0 - lam_free[0 * LANES + lane] * (1.0 - t82 / (1.0 + t82));
-    const double t84 = t72 * t79;
-    const double t85 = t83 * t84;
-    q_next[1 * LANES + lane] = q[1 * LANES + lane] + period[0 * LANES + lane] * t85;
-    const double t86 = t1 * filter_cutoff[2 * LANES + lane];
-    const double t87 = 1.0 - lam_free[0 * LANES + lane] * (1.0 - t86 / (1.0 + t86));
-    const double t88 = t75 * t79;
+    const double t29 = tool_gain[3 * LANES + lane] * t28;
+    const double t30 = clikgen_fma(tool_gain[2 * LANES + lane], t24, t29);
+    const double t31 = t28 * tool_gain[1 * LANES + lane];
+    const double t32 = clikgen_fma(t24, tool_gain[0 * LANES + lane], t31);
+    const double t33 = tool_speed[0 * LANES + lane] * tool_speed[0 * LANES + lane];
+    const double t34 = clikgen_fma(t32, t32, t30 * t30);
+    const double t35 = tool_speed[0 * LANES + lane] / sqrt(t34 > t33 ? t34 : t33);
+    const double t36 = t23 - t15;
+    const double t37 = posture_reference[1 * LANES + lane] - q[1 * LANES + lane];
+    const double t38 = clikgen_fma(posture_gain[1 * LANES + lane], t37, posture_reference_velocity[1 * LANES + lane]);
+    const double t39 = clikgen_fma(t11, 4.263256414560601e-14, t10);
+    const double t40 = 1.0 / (t11 > t39 ? t11 : t39);
+    const double t41 = t38 * t40;
+    const double t42 = posture_reference[2 * LANES + lane] - q[2 * LANES + lane];
+    const double t43 = clikgen_fma(posture_gain[2 * LANES + lane], t42, posture_reference_velocity[2 * LANES + lane]);
+    const double t44 = t40 * t43;
+    const double t45 = t27 - t25;
+    const double t46 = clikgen_fma(t36, t45, clikgen_fma(t23, t27, t22 * t26));
+    const double t47 = clikgen_fma(t45, t45, clikgen_fma(t27, t27, t26 * t26));
+    const double t48 = tool_damping[0 * LANES + lane] * tool_damping[0 * LANES + lane];
+    const double t49 = clikgen_fma(t47, 1.4210854715202004e-14, 1e-200);
+    const double t50 = t47 > t49 ? t47 : t49;
+    const double t51 = 1.0 / t50;
+    const double t52 = t46 * t51;
+    const double t53 = t52 * t52;
+    const double t54 = clikgen_fma(t36, t36, clikgen_fma(t23, t23, t22 * t22));
+    const double t55 = clikgen_fma(-t50, t53, t54);
+    const double t56 = clikgen_fma(1.4210854715202004e-14, t54, 1e-200);
+    const double t57 = tool_near_singularity[0 * LANES + lane] * tool_near_singularity[0 * LANES + lane];
+    const double t58 = 1.0 / (t51 + (1.0 + t53) / (t55 > t56 ? t55 : t56));
+    const double t59 = clikgen_fma(-t58, 1.0 / t57, 1.0);
+    const double t60 = 0.0 > t59 ? 0.0 : t59;
+    const double t61 = t48 * (t60 * t60);
+    const double t62 = t47 + t61;
+    const double t63 = 1.0 / t62;
+    const double t64 = t46 * t63;
+    const double t65 = clikgen_fma(t26, t44, tool_reference_velocity[0 * LANES + lane]);
+    const double t66 = clikgen_fma(t32, t35, clikgen_fma(t41, t45, clikgen_fma(t12, t27, t65)));
+    const double t67 = clikgen_fma(-t22, t44, tool_reference_velocity[1 * LANES + lane]);
+    const double t68 = clikgen_fma(-t36, t41, clikgen_fma(-t12, t23, t67));
+    const double t69 = t54 + t61;
+    const double t70 = clikgen_fma(-t62, t64 * t64, t69);
+    const double t71 = clikgen_fma(1.4210854715202004e-14, t62 + t69, t61);
+    const double t72 = clikgen_fma(t64, t66, clikgen_fma(t30, t35, t68)) / (t70 > t71 ? t70 : t71);
+    const double t73 = clikgen_fma(t64, t72, t63 * t66);
+    const double t74 = clikgen_fma(-t27, t73, clikgen_fma(t23, t72, t12));
+    const double t75 = clikgen_fma(-t45, t73, clikgen_fma(t36, t72, t41));
+    const double t76 = fabs(t74) * (1.0 / velocity_limit[0 * LANES + lane]);
+    const double t77 = fabs(t75) * (1.0 / velocity_limit[1 * LANES + lane]);
+    const double t78 = clikgen_fma(-t26, t73, clikgen_fma(t22, t72, t44));
+    const double t79 = t76 > t77 ? t76 : t77;
+    const double t80 = fabs(t78) * (1.0 / velocity_limit[2 * LANES + lane]);
+    const double t81 = t79 > t80 ? t79 : t80;
+    const double t82 = 1.0 / (1.0 > t81 ? 1.0 : t81);
+    const double t83 = t74 * t82;
+    const double t84 = t3 * t83;
+    const double t85 = clikgen_fma(period[0 * LANES + lane], t84, q[0 * LANES + lane]);
+    q_next[0 * LANES + lane] = t85;
+    const double t86 = t1 * filter_cutoff[1 * LANES + lane];
+    const double t87 = clikgen_fma(-lam_free[0 * LANES + lane], 1.0 - t86 / (1.0 + t86), 1.0);
+    const double t88 = t75 * t82;
     const double t89 = t87 * t88;
-    q_next[2 * LANES + lane] = q[2 * LANES + lane] + period[0 * LANES + lane] * t89;
-    dq[0 * LANES + lane] = t81;
-    dq[1 * LANES + lane] = t85;
-    dq[2 * LANES + lane] = t89;
-    dq_law[0 * LANES + lane] = t80;
-    dq_law[1 * LANES + lane] = t84;
-    dq_law[2 * LANES + lane] = t88;
+    const double t90 = clikgen_fma(period[0 * LANES + lane], t89, q[1 * LANES + lane]);
+    q_next[1 * LANES + lane] = t90;
+    const double t91 = t1 * filter_cutoff[2 * LANES + lane];
+    const double t92 = clikgen_fma(-lam_free[0 * LANES + lane], 1.0 - t91 / (1.0 + t91), 1.0);
+    const double t93 = t78 * t82;
+    const double t94 = t92 * t93;
+    const double t95 = clikgen_fma(period[0 * LANES + lane], t94, q[2 * LANES + lane]);
+    q_next[2 * LANES + lane] = t95;
+    dq[0 * LANES + lane] = t84;
+    dq[1 * LANES + lane] = t89;
+    dq[2 * LANES + lane] = t94;
+    dq_law[0 * LANES + lane] = t83;
+    dq_law[1 * LANES + lane] = t88;
+    dq_law[2 * LANES + lane] = t93;
     tool_position[0 * LANES + lane] = t23;
     tool_position[1 * LANES + lane] = t27;
     tool_error[0 * LANES + lane] = t24;
@@ -205,8 +229,8 @@ void planar3_step_lanes(const double *const *arg, double *const *res) {
     posture_value[1 * LANES + lane] = q[1 * LANES + lane];
     posture_value[2 * LANES + lane] = q[2 * LANES + lane];
     posture_error[0 * LANES + lane] = t4;
-    posture_error[1 * LANES + lane] = t35;
-    posture_error[2 * LANES + lane] = t40;
+    posture_error[1 * LANES + lane] = t37;
+    posture_error[2 * LANES + lane] = t42;
     lam[0 * LANES + lane] = lam_free[0 * LANES + lane];
   }
 }

@@ -2,7 +2,7 @@
  *
  * The step of 16 robots at once: entry e of a signal of robot `lane` is at [e * 16 + lane].
  * The signals are those of planar5_step, in its order. For -O3, with whatever vectors there are: the
- * results do not depend on them.
+ * results do not depend on them, and are those of planar5_step compiled with FMA as this is, or without.
  */
 
 /* Many operations here wait for none of the others: gcc shall order them, with an eye on its registers. */
@@ -45,23 +45,41 @@ static inline double clikgen_real(uint64_t x) {
   return both.real;
 }
 
+/* a b + c: rounded once where this processor does that in one instruction, else twice. -DCLIKGEN_FMA=0 has it twice. */
+#if !defined CLIKGEN_FMA && (defined __FP_FAST_FMA || defined __FMA__)
+#define CLIKGEN_FMA 1
+#elif !defined CLIKGEN_FMA && defined __ARM_FEATURE_FMA && defined __ARM_FP
+#define CLIKGEN_FMA (__ARM_FP & 8 ? 1 : 0)
+#elif !defined CLIKGEN_FMA
+#define CLIKGEN_FMA 0
+#endif
+
+static inline double clikgen_fma(double a, double b, double c) {
+#if CLIKGEN_FMA
+  return fma(a, b, c);
+#else
+  return a * b + c;
+#endif
+}
+
 /* Sine and cosine of x [rad] to 1.8e-16 for |x| <= 1e6; NaN from 2^30 on. */
 static inline void clikgen_sincos(double x, double *sine, double *cosine) {
   const double shift = 6755399441055744.0; /* 1.5 * 2^52: a sum with it is a whole number */
-  const uint64_t quadrant = clikgen_bits(x * 0.6366197723675814 + shift); /* in its last two bits */
+  const uint64_t quadrant = clikgen_bits(clikgen_fma(x, 0.6366197723675814, shift)); /* in its last two bits */
   const double n = clikgen_real(quadrant) - shift; /* quarter turns */
   const double away = x * 0x1p+994, fence = away * 0.0; /* from 2^30 on infinite, and NaN; else 0 */
   /* pi/2 in two parts: the first has 31 bits, so that n times it is exact. */
-  const double r = (x - n * 0x1.921fb544p+0) - (n * 0x1.0b4611a626331p-34 + fence); /* |r| <= pi/4 */
+  const double most = clikgen_fma(-n, 0x1.921fb544p+0, x);
+  const double r = most - clikgen_fma(n, 0x1.0b4611a626331p-34, fence); /* |r| <= pi/4 */
   const double z = r * r, z2 = z * z, z4 = z2 * z2;
-  const double p = ((-0.166666666666666 + z * 0.008333333333316218) +
-                    z2 * (-0.00019841269825742733 + z * 2.755731248237617e-06)) +
-                   z4 * (-2.505059086768978e-08 + z * 1.5888058090339975e-10);
-  const double q = ((0.0416666666666666 + z * -0.0013888888888874474) +
-                    z2 * (2.480158728967154e-05 + z * -2.755731440103197e-07)) +
-                   z4 * (2.0875729281370876e-09 + z * -1.1359934243820215e-11);
-  const uint64_t s = clikgen_bits(r + (r * z) * p); /* sin r */
-  const uint64_t c = clikgen_bits((1.0 - 0.5 * z) + z2 * q); /* cos r */
+  const double p = clikgen_fma(z4, clikgen_fma(z, 1.5888058090339975e-10, -2.505059086768978e-08),
+                               clikgen_fma(z2, clikgen_fma(z, 2.755731248237617e-06, -0.00019841269825742733),
+                                           clikgen_fma(z, 0.008333333333316218, -0.166666666666666)));
+  const double q = clikgen_fma(z4, clikgen_fma(z, -1.1359934243820215e-11, 2.0875729281370876e-09),
+                               clikgen_fma(z2, clikgen_fma(z, -2.755731440103197e-07, 2.480158728967154e-05),
+                                           clikgen_fma(z, -0.0013888888888874474, 0.0416666666666666)));
+  const uint64_t s = clikgen_bits(clikgen_fma(r * z, p, r)); /* sin r */
+  const uint64_t c = clikgen_bits(clikgen_fma(z2, q, clikgen_fma(-0.5, z, 1.0))); /* cos r */
   const uint64_t swap = (s ^ c) & (0 - (quadrant & 1));
   const uint64_t sign = UINT64_C(1) << 63;
   *sine = clikgen_real(s ^ swap ^ ((quadrant << 62) & sign));
@@ -109,22 +127,22 @@ void planar5_step_lanes(const double *const *arg, double *const *res) {
     const double t7 = q[1 * LANES + lane] + t6;
     const double t8 = q[0 * LANES + lane] + t6;
     const double t9 = t4 + q[1 * LANES + lane] - t3;
-    const double t10 = q[0 * LANES + lane] + c2 * 0.2;
+    const double t10 = clikgen_fma(c2, 0.2, q[0 * LANES + lane]);
     double s11, c12;
     clikgen_sincos(q[3 * LANES + lane], &s11, &c12);
-    const double t13 = c2 * c12 - s1 * s11;
-    const double t14 = t10 + 0.25 * t13;
-    const double t15 = q[1 * LANES + lane] + s1 * 0.2;
-    const double t16 = s1 * c12 + c2 * s11;
-    const double t17 = t15 + 0.25 * t16;
-    const double t18 = t10 + t13 * 0.5;
-    const double t19 = t15 + t16 * 0.5;
+    const double t13 = clikgen_fma(c2, c12, -(s1 * s11));
+    const double t14 = clikgen_fma(0.25, t13, t10);
+    const double t15 = clikgen_fma(s1, 0.2, q[1 * LANES + lane]);
+    const double t16 = clikgen_fma(s1, c12, c2 * s11);
+    const double t17 = clikgen_fma(0.25, t16, t15);
+    const double t18 = clikgen_fma(t13, 0.5, t10);
+    const double t19 = clikgen_fma(t16, 0.5, t15);
     double s20, c21;
     clikgen_sincos(q[4 * LANES + lane], &s20, &c21);
-    const double t22 = t13 * c21 - t16 * s20;
-    const double t23 = t18 + 0.2 * t22;
-    const double t24 = t16 * c21 + t13 * s20;
-    const double t25 = t19 + 0.2 * t24;
+    const double t22 = clikgen_fma(t13, c21, -(t16 * s20));
+    const double t23 = clikgen_fma(0.2, t22, t18);
+    const double t24 = clikgen_fma(t16, c21, t13 * s20);
+    const double t25 = clikgen_fma(0.2, t24, t19);
     const double t26 = t22 * 0.4;
     const double t27 = t18 + t26;
     const double t28 = t24 * 0.4;
@@ -143,13 +161,13 @@ void planar5_step_lanes(const double *const *arg, double *const *res) {
     const double t41 = t36 ? obstacle_radius[2 * LANES + lane] : -1000000.0;
     const double t42 = t37 - t5;
     const double t43 = t38 - t7;
-    const double t44 = t42 * t42 + t43 * t43;
+    const double t44 = clikgen_fma(t42, t42, t43 * t43);
     const double t45 = t34 - t5;
     const double t46 = t35 - t7;
-    const double t47 = t45 * t45 + t46 * t46;
+    const double t47 = clikgen_fma(t45, t45, t46 * t46);
     const double t48 = t31 - t5;
     const double t49 = t32 - t7;
-    const double t50 = t48 * t48 + t49 * t49;
+    const double t50 = clikgen_fma(t48, t48, t49 * t49);
     const double t51 = t40 - t39;
     const double t52 = t51 * t51;
     const double t53 = t47 - t52 - t50;
@@ -174,16 +192,16 @@ void planar5_step_lanes(const double *const *arg, double *const *res) {
     const double t72 = t70 * t71;
     const double t73 = t62 ? t43 : (t55 ? t46 : t49);
     const double t74 = t70 * t73;
-    const double t75 = t70 * (t5 * t73 - t7 * t71);
+    const double t75 = t70 * clikgen_fma(-t7, t71, t5 * t73);
     const double t76 = t37 - t8;
     const double t77 = t38 - t9;
-    const double t78 = t76 * t76 + t77 * t77;
+    const double t78 = clikgen_fma(t76, t76, t77 * t77);
     const double t79 = t34 - t8;
     const double t80 = t35 - t9;
-    const double t81 = t79 * t79 + t80 * t80;
+    const double t81 = clikgen_fma(t79, t79, t80 * t80);
     const double t82 = t31 - t8;
     const double t83 = t32 - t9;
-    const double t84 = t82 * t82 + t83 * t83;
+    const double t84 = clikgen_fma(t82, t82, t83 * t83);
     const double t85 = t40 - t39;
     const double t86 = t85 * t85;
     const double t87 = t81 - t86 - t84;
@@ -208,16 +226,16 @@ void planar5_step_lanes(const double *const *arg, double *const *res) {
     const double t106 = t104 * t105;
     const double t107 = t96 ? t77 : (t89 ? t80 : t83);
     const double t108 = t104 * t107;
-    const double t109 = t104 * (t8 * t107 - t9 * t105);
+    const double t109 = t104 * clikgen_fma(-t9, t105, t8 * t107);
     const double t110 = t37 - t14;
     const double t111 = t38 - t17;
-    const double t112 = t110 * t110 + t111 * t111;
+    const double t112 = clikgen_fma(t110, t110, t111 * t111);
     const double t113 = t34 - t14;
     const double t114 = t35 - t17;
-    const double t115 = t113 * t113 + t114 * t114;
+    const double t115 = clikgen_fma(t113, t113, t114 * t114);
     const double t116 = t31 - t14;
     const double t117 = t32 - t17;
-    const double t118 = t116 * t116 + t117 * t117;
+    const double t118 = clikgen_fma(t116, t116, t117 * t117);
     const double t119 = t40 - t39;
     const double t120 = t119 * t119;
     const double t121 = t115 - t120 - t118;
@@ -242,16 +260,16 @@ void planar5_step_lanes(const double *const *arg, double *const *res) {
     const double t140 = t138 * t139;
     const double t141 = t130 ? t111 : (t123 ? t114 : t117);
     const double t142 = t138 * t141;
-    const double t143 = t138 * (t14 * t141 - t17 * t139);
+    const double t143 = t138 * clikgen_fma(-t17, t139, t14 * t141);
     const double t144 = t37 - t18;
     const double t145 = t38 - t19;
-    const double t146 = t144 * t144 + t145 * t145;
+    const double t146 = clikgen_fma(t144, t144, t145 * t145);
     const double t147 = t34 - t18;
     const double t148 = t35 - t19;
-    const double t149 = t147 * t147 + t148 * t148;
+    const double t149 = clikgen_fma(t147, t147, t148 * t148);
     const double t150 = t31 - t18;
     const double t151 = t32 - t19;
-    const double t152 = t150 * t150 + t151 * t151;
+    const double t152 = clikgen_fma(t150, t150, t151 * t151);
     const double t153 = t40 - t39;
     const double t154 = t153 * t153;
     const double t155 = t149 - t154 - t152;
@@ -276,16 +294,16 @@ void planar5_step_lanes(const double *const *arg, double *const *res) {
     const double t174 = t172 * t173;
     const double t175 = t164 ? t145 : (t157 ? t148 : t151);
     const double t176 = t172 * t175;
-    const double t177 = t172 * (t18 * t175 - t19 * t173);
+    const double t177 = t172 * clikgen_fma(-t19, t173, t18 * t175);
     const double t178 = t37 - t23;
     const double t179 = t38 - t25;
-    const double t180 = t178 * t178 + t179 * t179;
+    const double t180 = clikgen_fma(t178, t178, t179 * t179);
     const double t181 = t34 - t23;
     const double t182 = t35 - t25;
-    const double t183 = t181 * t181 + t182 * t182;
+    const double t183 = clikgen_fma(t181, t181, t182 * t182);
     const double t184 = t31 - t23;
     const double t185 = t32 - t25;
-    const double t186 = t184 * t184 + t185 * t185;
+    const double t186 = clikgen_fma(t184, t184, t185 * t185);
     const double t187 = t40 - t39;
     const double t188 = t187 * t187;
     const double t189 = t183 - t188 - t186;
@@ -310,16 +328,16 @@ void planar5_step_lanes(const double *const *arg, double *const *res) {
     const double t208 = t206 * t207;
     const double t209 = t198 ? t179 : (t191 ? t182 : t185);
     const double t210 = t206 * t209;
-    const double t211 = t206 * (t23 * t209 - t25 * t207);
+    const double t211 = t206 * clikgen_fma(-t25, t207, t23 * t209);
     const double t212 = t37 - t27;
     const double t213 = t38 - t29;
-    const double t214 = t212 * t212 + t213 * t213;
+    const double t214 = clikgen_fma(t212, t212, t213 * t213);
     const double t215 = t34 - t27;
     const double t216 = t35 - t29;
-    const double t217 = t215 * t215 + t216 * t216;
+    const double t217 = clikgen_fma(t215, t215, t216 * t216);
     const double t218 = t31 - t27;
     const double t219 = t32 - t29;
-    const double t220 = t218 * t218 + t219 * t219;
+    const double t220 = clikgen_fma(t218, t218, t219 * t219);
     const double t221 = t40 - t39;
     const double t222 = t221 * t221;
     const double t223 = t217 - t222 - t220;
@@ -344,7 +362,7 @@ void planar5_step_lanes(const double *const *arg, double *const *res) {
     const double t242 = t240 * t241;
     const double t243 = t232 ? t213 : (t225 ? t216 : t219);
     const double t244 = t240 * t243;
-    const double t245 = t240 * (t27 * t243 - t29 * t241);
+    const double t245 = t240 * clikgen_fma(-t29, t241, t27 * t243);
     const double t246 = t65 - influence_radius[0 * LANES + lane];
     const double t247 = t99 - influence_radius[1 * LANES + lane];
     const double t248 = t246 < 2000000.0 ? t246 : 2000000.0;
@@ -362,73 +380,84 @@ void planar5_step_lanes(const double *const *arg, double *const *res) {
     const double t260 = t259 * filter_cutoff[0 * LANES + lane];
     const double t261 = tool_reference[0 * LANES + lane] - t27;
     const double t262 = tool_reference[1 * LANES + lane] - t29;
-    const double t263 = tool_reference_velocity[0 * LANES + lane] + tool_gain[0 * LANES + lane] * t261;
-    const double t264 = tool_gain[1 * LANES + lane] * t262 + t263;
+    const double t263 = clikgen_fma(tool_gain[0 * LANES + lane], t261, tool_reference_velocity[0 * LANES + lane]);
+    const double t264 = clikgen_fma(tool_gain[1 * LANES + lane], t262, t263);
     const double t265 = t29 - q[1 * LANES + lane];
     const double t266 = t29 - t15;
     const double t267 = tool_damping[0 * LANES + lane] * tool_damping[0 * LANES + lane];
     const double t268 = 1.0 + t267;
-    const double t269 = t266 * t266 + (t265 * t265 + (t28 * t28 + t268));
-    const double t270 = 1.0 / t269;
-    const double t271 = t27 - q[0 * LANES + lane];
-    const double t272 = t27 - t10;
-    const double t273 = t270 * (t266 * t272 + (t265 * t271 + t26 * t28));
-    const double t274 = tool_reference_velocity[1 * LANES + lane] + t261 * tool_gain[2 * LANES + lane];
-    const double t275 = t264 * t273 + (t262 * tool_gain[3 * LANES + lane] + t274);
-    const double t276 = t272 * t272 + (t271 * t271 + (t268 + t26 * t26));
-    const double t277 = t276 - t269 * (t273 * t273);
-    const double t278 = t267 + 1.4210854715202004e-14 * (t269 + t276);
-    const double t279 = t275 / (t277 > t278 ? t277 : t278);
-    const double t280 = t264 * t270 + t273 * t279;
-    const double t281 = t208 + t242;
-    const double t282 = t281 + (t140 + t174);
-    const double t283 = t282 + (t72 + t106);
-    const double t284 = (t204 + t238 + (t68 + t102 + (t136 + t170))) * (1.0 / 2.0);
-    const double t285 = t210 + t244;
-    const double t286 = t285 + (t142 + t176);
-    const double t287 = t286 + (t74 + t108);
-    const double t288 = t211 + t245;
-    const double t289 = t288 + (t143 + t177);
-    const double t290 = q[1 * LANES + lane] * t283 + (t289 + (t75 + t109) - q[0 * LANES + lane] * t287);
-    const double t291 = t271 * t279 - t265 * t280;
-    const double t292 = t15 * t282 + (t289 - t10 * t286);
-    const double t293 = t272 * t279 - t266 * t280;
-    const double t294 = t19 * t281 + (t288 - t18 * t285);
-    const double t295 = t26 * t279 - t28 * t280;
-    const double t296 = t280 * t283 + (obstacles_gain[0 * LANES + lane] * t284 + t279 * t287);
-    const double t297 = obstacles_damping[0 * LANES + lane] * obstacles_damping[0 * LANES + lane];
-    const double t298 = t292 * t292 + (t290 * t290 + (t287 * t287 + (t283 * t283 + t297)));
-    const double t299 = (t290 * t291 + t296 + (t292 * t293 + t294 * t295)) * (1.0 / (t294 * t294 + t298));
-    const double t300 = t280 - t283 * t299;
-    const double t301 = (1.0 - t258 * (1.0 - t260 / (1.0 + t260))) * t300;
-    q_next[0 * LANES + lane] = q[0 * LANES + lane] + period[0 * LANES + lane] * t301;
-    const double t302 = t259 * filter_cutoff[1 * LANES + lane];
-    const double t303 = t279 - t287 * t299;
-    const double t304 = (1.0 - t258 * (1.0 - t302 / (1.0 + t302))) * t303;
-    q_next[1 * LANES + lane] = q[1 * LANES + lane] + period[0 * LANES + lane] * t304;
-    const double t305 = t259 * filter_cutoff[2 * LANES + lane];
-    const double t306 = t291 - t290 * t299;
-    const double t307 = (1.0 - t258 * (1.0 - t305 / (1.0 + t305))) * t306;
-    q_next[2 * LANES + lane] = q[2 * LANES + lane] + period[0 * LANES + lane] * t307;
-    const double t308 = t259 * filter_cutoff[3 * LANES + lane];
-    const double t309 = t293 - t292 * t299;
-    const double t310 = (1.0 - t258 * (1.0 - t308 / (1.0 + t308))) * t309;
-    q_next[3 * LANES + lane] = q[3 * LANES + lane] + period[0 * LANES + lane] * t310;
-    const double t311 = t259 * filter_cutoff[4 * LANES + lane];
-    const double t312 = t295 - t294 * t299;
-    const double t313 = (1.0 - t258 * (1.0 - t311 / (1.0 + t311))) * t312;
-    q_next[4 * LANES + lane] = q[4 * LANES + lane] + period[0 * LANES + lane] * t313;
-    dq[0 * LANES + lane] = t301;
-    dq[1 * LANES + lane] = t304;
-    dq[2 * LANES + lane] = t307;
-    dq[3 * LANES + lane] = t310;
-    dq[4 * LANES + lane] = t313;
-    dq_law[0 * LANES + lane] = t300;
-    dq_law[1 * LANES + lane] = t303;
-    dq_law[2 * LANES + lane] = t306;
-    dq_law[3 * LANES + lane] = t309;
-    dq_law[4 * LANES + lane] = t312;
-    obstacles_potential[0 * LANES + lane] = t284;
+    const double t269 = clikgen_fma(t265, t265, clikgen_fma(t28, t28, t268));
+    const double t270 = clikgen_fma(t266, t266, t269);
+    const double t271 = 1.0 / t270;
+    const double t272 = t27 - q[0 * LANES + lane];
+    const double t273 = t27 - t10;
+    const double t274 = clikgen_fma(t266, t273, clikgen_fma(t265, t272, t26 * t28));
+    const double t275 = t271 * t274;
+    const double t276 = clikgen_fma(t261, tool_gain[2 * LANES + lane], tool_reference_velocity[1 * LANES + lane]);
+    const double t277 = clikgen_fma(t262, tool_gain[3 * LANES + lane], t276);
+    const double t278 = clikgen_fma(t272, t272, clikgen_fma(t26, t26, t268));
+    const double t279 = clikgen_fma(t273, t273, t278);
+    const double t280 = clikgen_fma(-t270, t275 * t275, t279);
+    const double t281 = clikgen_fma(1.4210854715202004e-14, t270 + t279, t267);
+    const double t282 = clikgen_fma(t264, t275, t277) / (t280 > t281 ? t280 : t281);
+    const double t283 = clikgen_fma(t275, t282, t264 * t271);
+    const double t284 = t208 + t242;
+    const double t285 = t284 + (t140 + t174);
+    const double t286 = t285 + (t72 + t106);
+    const double t287 = (t204 + t238 + (t68 + t102 + (t136 + t170))) * (1.0 / 2.0);
+    const double t288 = t210 + t244;
+    const double t289 = t288 + (t142 + t176);
+    const double t290 = t289 + (t74 + t108);
+    const double t291 = t211 + t245;
+    const double t292 = t291 + (t143 + t177);
+    const double t293 = clikgen_fma(-q[0 * LANES + lane], t290, t292 + (t75 + t109));
+    const double t294 = clikgen_fma(q[1 * LANES + lane], t286, t293);
+    const double t295 = clikgen_fma(-t265, t283, t272 * t282);
+    const double t296 = clikgen_fma(t15, t285, clikgen_fma(-t10, t289, t292));
+    const double t297 = clikgen_fma(-t266, t283, t273 * t282);
+    const double t298 = clikgen_fma(t19, t284, clikgen_fma(-t18, t288, t291));
+    const double t299 = clikgen_fma(-t28, t283, t26 * t282);
+    const double t300 = clikgen_fma(t282, t290, obstacles_gain[0 * LANES + lane] * t287);
+    const double t301 = clikgen_fma(t294, t295, clikgen_fma(t283, t286, t300)) + clikgen_fma(t296, t297, t298 * t299);
+    const double t302 = obstacles_damping[0 * LANES + lane] * obstacles_damping[0 * LANES + lane];
+    const double t303 = clikgen_fma(t290, t290, clikgen_fma(t286, t286, t302));
+    const double t304 = clikgen_fma(t296, t296, clikgen_fma(t294, t294, t303));
+    const double t305 = t301 * (1.0 / clikgen_fma(t298, t298, t304));
+    const double t306 = clikgen_fma(-t286, t305, t283);
+    const double t307 = clikgen_fma(-t258, 1.0 - t260 / (1.0 + t260), 1.0) * t306;
+    const double t308 = clikgen_fma(period[0 * LANES + lane], t307, q[0 * LANES + lane]);
+    q_next[0 * LANES + lane] = t308;
+    const double t309 = t259 * filter_cutoff[1 * LANES + lane];
+    const double t310 = clikgen_fma(-t290, t305, t282);
+    const double t311 = clikgen_fma(-t258, 1.0 - t309 / (1.0 + t309), 1.0) * t310;
+    const double t312 = clikgen_fma(period[0 * LANES + lane], t311, q[1 * LANES + lane]);
+    q_next[1 * LANES + lane] = t312;
+    const double t313 = t259 * filter_cutoff[2 * LANES + lane];
+    const double t314 = clikgen_fma(-t294, t305, t295);
+    const double t315 = clikgen_fma(-t258, 1.0 - t313 / (1.0 + t313), 1.0) * t314;
+    const double t316 = clikgen_fma(period[0 * LANES + lane], t315, q[2 * LANES + lane]);
+    q_next[2 * LANES + lane] = t316;
+    const double t317 = t259 * filter_cutoff[3 * LANES + lane];
+    const double t318 = clikgen_fma(-t296, t305, t297);
+    const double t319 = clikgen_fma(-t258, 1.0 - t317 / (1.0 + t317), 1.0) * t318;
+    const double t320 = clikgen_fma(period[0 * LANES + lane], t319, q[3 * LANES + lane]);
+    q_next[3 * LANES + lane] = t320;
+    const double t321 = t259 * filter_cutoff[4 * LANES + lane];
+    const double t322 = clikgen_fma(-t298, t305, t299);
+    const double t323 = clikgen_fma(-t258, 1.0 - t321 / (1.0 + t321), 1.0) * t322;
+    const double t324 = clikgen_fma(period[0 * LANES + lane], t323, q[4 * LANES + lane]);
+    q_next[4 * LANES + lane] = t324;
+    dq[0 * LANES + lane] = t307;
+    dq[1 * LANES + lane] = t311;
+    dq[2 * LANES + lane] = t315;
+    dq[3 * LANES + lane] = t319;
+    dq[4 * LANES + lane] = t323;
+    dq_law[0 * LANES + lane] = t306;
+    dq_law[1 * LANES + lane] = t310;
+    dq_law[2 * LANES + lane] = t314;
+    dq_law[3 * LANES + lane] = t318;
+    dq_law[4 * LANES + lane] = t322;
+    obstacles_potential[0 * LANES + lane] = t287;
     tool_position[0 * LANES + lane] = t27;
     tool_position[1 * LANES + lane] = t29;
     tool_error[0 * LANES + lane] = t261;

@@ -133,7 +133,7 @@ def test_paths_errors_and_signals_are_those_of_the_rollout(fixed, seen):
     (path,) = seen.paths
     way = np.clip(rollout.t / 3.0, 0, 1)[:, None]
     np.testing.assert_allclose(path.commanded, [0.6, 0.2, 0.5] + way * [-0.3, 0.4, -0.1], atol=1e-12)
-    np.testing.assert_array_equal(path.traced, rollout.signals["tip_position"])
+    np.testing.assert_allclose(path.traced, rollout.signals["tip_position"], rtol=0, atol=4e-16)
     tip, wrist = seen.errors
     assert (tip.name, tip.unit, wrist.name, wrist.unit) == ("tip", "m", "wrist", "rad")
     np.testing.assert_allclose(tip.norm, np.linalg.norm(path.commanded - path.traced, axis=1), atol=1e-12)

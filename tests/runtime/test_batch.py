@@ -432,13 +432,18 @@ def test_any_number_of_threads_and_any_chunks_give_the_same_bits(threads, work, 
     _expect_equal_bits(simulate_batch_of(run, each, EVERYTHING, threads=threads), expected)
 
 
-@pytest.mark.parametrize("flags", [("-O0",), ("-O3", "-fopenmp-simd")])
-def test_vectors_of_any_width_give_the_same_bits(flags, planar5, many, monkeypatch):
+TWICE = "-DCLIKGEN_FMA=0"  # rounds a product, and then its sum
+
+
+@pytest.mark.parametrize("rounding", [(), (TWICE,)], ids=["as this processor rounds", "without FMA"])
+def test_vectors_of_any_width_give_the_same_bits(rounding, planar5, many, monkeypatch):
     run, each = many
     run = replace(run, controller=planar5)  # with the step of many robots at once, where it ships
+    monkeypatch.setattr(batch_module, "NATIVE", (*NATIVE, *rounding))
     expected = simulate_batch_of(run, each, EVERYTHING)
-    monkeypatch.setattr(batch_module, "NATIVE", flags)
-    _expect_equal_bits(simulate_batch_of(run, each, EVERYTHING), expected)
+    for flags in [("-O0", "-march=native"), ("-O1", "-march=native"), *([("-O0",), ("-O3",)] if rounding else [])]:
+        monkeypatch.setattr(batch_module, "NATIVE", (*flags, *rounding))
+        _expect_equal_bits(simulate_batch_of(run, each, EVERYTHING), expected)
 
 
 def test_a_metric_is_the_same_whatever_else_is_measured(many):

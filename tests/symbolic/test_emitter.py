@@ -40,8 +40,9 @@ from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 from pycparser import c_ast, c_generator, c_parser
 
-from clikgen.runtime.compiler import FLAGS, available_compilers, compile_library, find_compiler
-from clikgen.runtime.controller import CompiledController
+from clikgen.runtime import controller as runtime
+from clikgen.runtime.compiler import FLAGS, NATIVE, available_compilers, compile_library, find_compiler
+from clikgen.runtime.controller import CompiledController, CompiledFunction, load_library
 from clikgen.runtime.manifest import load_manifest
 from clikgen.symbolic.controller import build
 from clikgen.symbolic.emitter import IN_FLOAT, LANES, LEAST_FLOAT, Names, function_text, module_text
@@ -422,7 +423,11 @@ def info(name, function):
 
 def ours(name, function, values):
     """The outputs of a shipped function, compiled, (N, rows) each."""
-    one = getattr(CompiledController.load(shipped_folder() / name), function)
+    return mapped(getattr(CompiledController.load(shipped_folder() / name), function), values)
+
+
+def mapped(one, values):
+    """The outputs of a compiled function, (N, rows) each."""
     outputs = one.map(len(values["q"]), {key: value for key, value in values.items() if key in one.inputs})
     return [array.reshape(len(array), -1) for array in outputs.values()]
 
@@ -551,19 +556,32 @@ def test_floats_are_finite_where_the_arm_is_stretched_or_folded(name, in_floats)
 # ---- Many robots side by side ----
 
 X86 = platform.machine() in ("x86_64", "AMD64")
-VECTORS = {"native": ("-O3", "-march=native"), "plain": ("-O3",), "no vectors": ("-O1", "-UCLIKGEN_OPENMP")}
-if X86:
-    VECTORS["SSE2"] = ("-O3", "-msse2", "-mno-avx")
-if X86 and "avx2" in Path("/proc/cpuinfo").read_text(encoding="utf-8"):
+CAN = set(Path("/proc/cpuinfo").read_text(encoding="utf-8").split()) if X86 else set()
+HAS_FMA = "fma" in CAN or platform.machine() in ("aarch64", "arm64")
+VECTORS = {"native": NATIVE, "no vectors": ("-O1", "-march=native", "-UCLIKGEN_OPENMP")}
+if {"avx2", "fma"} <= CAN:
     VECTORS["AVX2"] = ("-O3", "-mavx2", "-mfma")
+TWICE = "-DCLIKGEN_FMA=0"  # rounds a product, and then its sum
+TWICE_ROUNDED = {f"{vectors}, twice rounded": (*flags, TWICE) for vectors, flags in VECTORS.items()}
+TWICE_ROUNDED |= {"plain": ("-O3", TWICE), "no vectors, plain": ("-O1", "-UCLIKGEN_OPENMP", TWICE)}
+if X86:
+    TWICE_ROUNDED["SSE2"] = ("-O3", "-msse2", "-mno-avx")
 
 
-def in_lanes(name, vectors, values):
+def twice_rounded(name, function, values):
+    """The outputs of a shipped function without FMA, (N, rows) each."""
+    what = info(name, function)
+    sources = [shipped_folder() / name / f"{name}.c", Path(runtime.__file__).with_name("calls.c")]
+    code = load_library(compile_library(sources, extra=(*NATIVE, TWICE)), [what.symbol])
+    return mapped(CompiledFunction(what, code), values)
+
+
+def in_lanes(name, flags, values):
     """The outputs of the shipped step of many robots at once, (N, rows) each; N is a multiple of LANES."""
     ffi, one = cffi.FFI(), casadi(name, "step")
     ffi.cdef(f"void {name}_step_lanes(const double *const *arg, double *const *res);")
     source = shipped_folder() / name / f"{name}_lanes.c"
-    step = getattr(ffi.dlopen(str(compile_library([source], extra=VECTORS[vectors]))), f"{name}_step_lanes")
+    step = getattr(ffi.dlopen(str(compile_library([source], extra=flags))), f"{name}_step_lanes")
 
     def blocks(array):
         return np.ascontiguousarray(array.reshape(-1, LANES, array.shape[1]).transpose(0, 2, 1), dtype=float)
@@ -586,8 +604,26 @@ def test_many_robots_at_once_step_like_one_bit_for_bit_whatever_vectors_there_ar
     count = 128 * LANES
     samples = [near(name, count, 37), *([states_near_contact(count, 37)] if name == "planar5" else [])]
     for values in samples:
-        for vectors in VECTORS:
-            expect_the_same_bits(in_lanes(name, vectors, values), ours(name, "step", values))
+        for flags in VECTORS.values():
+            expect_the_same_bits(in_lanes(name, flags, values), ours(name, "step", values))
+        for flags in TWICE_ROUNDED.values():
+            expect_the_same_bits(in_lanes(name, flags, values), twice_rounded(name, "step", values))
+
+
+@pytest.mark.parametrize(("name", "function"), FUNCTIONS)
+def test_c_of_processors_without_fma_is_within_four_bounds_of_casadi_too(name, function):
+    one, values = casadi(name, function), near(name, STATES, 39)
+    found = compared(one, flat(one, values), twice_rounded(name, function, values))
+    assert found.ratio <= 4
+    assert found.doubtful < 1e-3
+
+
+@pytest.mark.skipif(not HAS_FMA, reason="wanted a processor with FMA")
+def test_products_are_added_in_one_operation_where_the_processor_can():
+    """Or the comparisons above would be of one thing with itself."""
+    values = near("planar5", 100, 40)
+    pairs = zip(ours("planar5", "step", values), twice_rounded("planar5", "step", values), strict=True)
+    assert any(np.any(one != other) for one, other in pairs)
 
 
 @pytest.mark.parametrize("name", GUARDED)
@@ -639,10 +675,11 @@ def is_finite(made):
     return all(np.isfinite(function.instruction_constant(k)) for k in constants)
 
 
+@pytest.mark.parametrize("extra", [(), NATIVE], ids=["plain", "native"])
 @pytest.mark.parametrize("real", ["double", "float"])
 @settings(max_examples=3, phases=[Phase.generate])
 @given(st.lists(programs, min_size=TOGETHER, max_size=TOGETHER), st.integers(0, 2**32 - 1))
-def test_the_c_of_any_expressions_is_within_four_bounds_of_casadi(tmp_path_factory, real, batch, seed):
+def test_the_c_of_any_expressions_is_within_four_bounds_of_casadi(tmp_path_factory, real, extra, batch, seed):
     names, procedures, texts, everything = Names(real), [], [], []
     for k, (inputs, found) in enumerate(filter(is_finite, map(carried_out, batch))):
         procedure = Procedure(f"f{k}", tuple(inputs), (ca.vertcat(*found[-3:-1]), found[-1]))
@@ -651,7 +688,7 @@ def test_the_c_of_any_expressions_is_within_four_bounds_of_casadi(tmp_path_facto
         everything.append(ca.Function("all", inputs, [ca.vertcat(*found)]))
     source = tmp_path_factory.mktemp("random") / "random.c"
     source.write_text(module_text(texts, names), encoding="utf-8")
-    library = Library(source, [one.name for one in procedures], real)
+    library = Library(source, [one.name for one in procedures], real, extra)
     rng, used = np.random.default_rng(seed), 0
     for procedure, function in zip(procedures, everything, strict=True):
         p, q = (rng.choice([rng.uniform(-3, 3, (256, n)), rng.integers(-3, 4, (256, n)) / 2]) for n in (2, 1))
@@ -786,7 +823,7 @@ DEFINED = re.compile(r"^(?:static (?:inline )?)?\w+ (\w+)\([^;]*?\) \{", re.MULT
 @pytest.mark.parametrize("target", ["c", "float"])
 @pytest.mark.parametrize("name", SPECS)
 def test_c_calls_nothing_but_itself_and_roots_and_what_no_compiler_calls(name, target, files):
-    allowed = {"sqrt", "fabs", "copysign"} if target == "c" else {"sqrtf", "fabsf", "copysignf"}
+    allowed = {"sqrt", "fabs", "copysign", "fma"} if target == "c" else {"sqrtf", "fabsf", "copysignf", "fmaf"}
     for source in in_c99(files(name, target)):
         text = re.sub(
             r"/\*.*?\*/|^ *#.*?$", "", Path(source).read_text(encoding="utf-8"), flags=re.MULTILINE | re.DOTALL
@@ -805,7 +842,8 @@ void *memcpy(void *to, const void *from, size_t count) { (void)from, (void)count
 
 @pytest.mark.parametrize("real", ["double", "float"])
 @pytest.mark.parametrize("level", ["-O1", "-O2", "-O3", "-Os"])  # at -O0 copysign is a call
-def test_c_links_without_libm_where_there_is_a_root(real, level, tmp_path):
+@pytest.mark.parametrize("processor", [[], ["-march=native"]], ids=["plain", "native"])
+def test_c_links_without_libm_where_there_is_a_root(real, level, processor, tmp_path):
     """Every operation there is, and nothing of libc but what compilers may call for an assignment."""
     x, names = ca.SX.sym("x", 2), Names(real)
     results = [operation(x[0], x[1], x[0]) for operation in OPERATIONS.values()]
@@ -813,7 +851,16 @@ def test_c_links_without_libm_where_there_is_a_root(real, level, tmp_path):
     source, rest = tmp_path / "everything.c", tmp_path / "rest.c"
     source.write_text(module_text([function_text(procedure, ["x"], ["y"], names)], names), encoding="utf-8")
     rest.write_text(ALL_IT_NEEDS, encoding="utf-8")
-    flags = ["-std=c99", level, "-fPIC", "-shared", "-nostdlib", "-Wl,--no-undefined", "-fno-stack-protector"]
+    flags = [
+        "-std=c99",
+        level,
+        *processor,
+        "-fPIC",
+        "-shared",
+        "-nostdlib",
+        "-Wl,--no-undefined",
+        "-fno-stack-protector",
+    ]
     flags += ["-fno-sanitize=all"]  # zig checks by itself where it does not optimize
     command = [*find_compiler().command, *flags, "-o", tmp_path / "library.so", source, rest]
     outcome = run(command)
@@ -896,9 +943,13 @@ class Operations:
         elif isinstance(node, c_ast.BinaryOp):
             self._count(node, True)
         elif isinstance(node, c_ast.FuncCall):
-            turned = node.name.name == "clikgen_sincos"
+            turned, fused = (node.name.name == f"clikgen_{name}" for name in ("sincos", "fma"))
             parts = node.args.exprs[:1] if turned else node.args.exprs
             self._count(node, not turned)
+            if fused:  # a product besides; a sign is none
+                self._seen.add(f"product of {self._written.visit(node)}")
+                signs = [one for one in parts if isinstance(one, c_ast.UnaryOp) and one.op == "-"]
+                parts = [one.expr if one in signs else one for one in parts]
         for part in parts:
             self.add(part)
 

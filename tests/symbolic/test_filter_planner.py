@@ -1,6 +1,7 @@
-"""Euler step, filter and planner (eqs. 13-19), and the stability and lag that THEORY.md derives for them."""
+"""Euler step, filter and planner (eqs. 13-19), and the stability and lag that follow from them."""
 
 import math
+from fractions import Fraction
 
 import numpy as np
 import pytest
@@ -53,11 +54,16 @@ def test_beta_is_eq_15_for_each_joint(evaluate_many, states_near_contact):
 
 
 def test_lambda_zero_is_case_1_bit_for_bit(evaluate_many, states_near_contact, states_within_limits):
+    """The sum of eq. 13 is rounded once where the processor has FMA, and else twice."""
     for values in (states_near_contact(10_000, 9), states_within_limits(10_000, 9)):
         values["lam_free"][:], values["lam_event"][:] = 0, 0
         outputs = evaluate_many("step", values)
         T = values["period"][:, None]
-        np.testing.assert_array_equal(outputs["q_next"], values["q"] + T * outputs["dq_law"])
+        terms = zip(*(a.ravel() for a in np.broadcast_arrays(values["q"], T, outputs["dq_law"])), strict=True)
+        once = np.array([float(Fraction(q) + Fraction(t) * Fraction(dq)) for q, t, dq in terms])
+        twice = values["q"] + T * outputs["dq_law"]
+        assert np.any(once != twice.ravel())
+        assert any(np.array_equal(outputs["q_next"].ravel(), expected.ravel()) for expected in (once, twice))
         np.testing.assert_array_equal(outputs["dq"], outputs["dq_law"])
         np.testing.assert_array_equal(outputs["lam"], 0)
 
@@ -119,7 +125,7 @@ def test_case_3_leaves_the_path_alone_until_the_first_contact(paper_run):
     assert not np.array_equal(rollouts[2].q[1], rollouts[1].q[1])
 
 
-# ---- THEORY.md section 3, reading A: the filtered q is the state ----
+# ---- Reading A of eq. 16: the filtered q is the state ----
 
 T, F_C, SPEED = 0.01, 4.0, 0.3
 BETA = 2 * math.pi * T * F_C / (1 + 2 * math.pi * T * F_C)
@@ -130,7 +136,7 @@ def ramp(planar5):
     """Errors along x (steps,) [m] of the compiled loop behind a reference at constant speed along x.
 
     The arm points along x, so that only base_x moves: the loop is exactly the scalar e⁺ = (1 − βTK) e +
-    (1 − β) T v of THEORY.md (β = 1 without the filter), up to damping² = 1e-12.
+    (1 − β) T v (β = 1 without the filter), up to damping² = 1e-12.
     """
 
     def run(gain, lam, steps, start_error=0.0, speed=SPEED):
@@ -176,7 +182,7 @@ def test_error_shrinks_below_the_gain_limit_and_grows_above(ramp, lam, limit, sh
     gain = share * limit
     steady = (1 - BETA) * SPEED / (BETA * gain) if lam else 0.0
     error = ramp(gain, lam, steps, start) - steady
-    ratio = 1 - 2 * share  # per step, by THEORY.md: 0, −0.98, −1.02
+    ratio = 1 - 2 * share  # per step: 0, −0.98, −1.02
     start -= steady
     assert error[0] == pytest.approx(start, abs=1e-15)
     # rounding of 1e-16..1e-15 m a step, carried on by the loop's own factor; damping² changes the factor by

@@ -2,6 +2,7 @@
 
 import copy
 import os
+import platform
 import re
 import shutil
 import subprocess
@@ -12,7 +13,7 @@ from importlib import import_module
 import numpy as np
 import pytest
 
-from clikgen.runtime.compiler import FLAGS, available_compilers, find_compiler
+from clikgen.runtime.compiler import FLAGS, NATIVE, available_compilers, find_compiler
 from clikgen.runtime.controller import CompiledController
 from clikgen.runtime.documents import BadInput
 from clikgen.runtime.manifest import load_manifest
@@ -198,6 +199,28 @@ PRINTS
 """
 
 
+def _printed(folder, main, extra):
+    """What a program with the C of a folder prints."""
+    flags = [flag for flag in FLAGS if flag not in ("-shared", "-fPIC")]
+    program, source = main.with_suffix(""), folder / f"{load_manifest(folder).controller}.c"
+    _expect_success([*find_compiler().command, *flags, *extra, f"-I{folder}", "-o", program, main, source, "-lm"])
+    printed = subprocess.run([program], capture_output=True, text=True, check=True).stdout
+    return {name: [float.fromhex(value) for value in values] for name, *values in map(str.split, printed.splitlines())}
+
+
+def _expect_the_numbers_of_python(folder, main, expected, rounding=1e-12):
+    """Bit for bit where both have FMA or neither, and one program without it as another."""
+    lines = _printed(folder, main, NATIVE)
+    for name, array in expected.items():
+        values = np.array(lines[name]).reshape(array.shape)
+        np.testing.assert_array_equal(values.view(np.uint64), array.view(np.uint64), err_msg=name)
+    plain = _printed(folder, main, ())
+    if sys.platform == "linux" and platform.machine() == "x86_64":
+        assert plain == _printed(folder, main, (*NATIVE, "-DCLIKGEN_FMA=0"))
+    for name, array in expected.items():
+        np.testing.assert_allclose(np.reshape(plain[name], array.shape), array, rtol=0, atol=rounding, err_msg=name)
+
+
 def test_a_c_program_with_the_typed_structs_gets_the_numbers_that_python_gets(
     planar5, planar5_folder, tmp_path, states_near_contact, one_state
 ):
@@ -220,18 +243,11 @@ def test_a_c_program_with_the_typed_structs_gets_the_numbers_that_python_gets(
     ]
     main = tmp_path / "main.c"
     main.write_text(MAIN.replace("ASSIGNMENTS", "\n".join(assignments)).replace("PRINTS", "\n".join(prints)))
-    flags = [flag for flag in FLAGS if flag not in ("-shared", "-fPIC")]
-    program, sources = str(tmp_path / "main"), [str(main), str(planar5_folder / "planar5.c")]
-    _expect_success([*find_compiler().command, *flags, f"-I{planar5_folder}", "-o", program, *sources, "-lm"])
-    printed = subprocess.run([program], capture_output=True, text=True, check=True).stdout
-    lines = {name: values for name, *values in map(str.split, printed.splitlines())}
-    for name, array in expected.items():
-        values = np.array([float.fromhex(value) for value in lines[name]]).reshape(array.shape)
-        np.testing.assert_array_equal(values.view(np.uint64), array.view(np.uint64), err_msg=name)
+    _expect_the_numbers_of_python(planar5_folder, main, expected)
 
 
 @pytest.mark.parametrize("target", ["c", "casadi"])
-def test_a_c_program_gets_the_numbers_of_a_step_with_a_barrier_too(target, written):
+def test_a_c_program_gets_the_numbers_of_a_step_with_a_barrier_too(target, written, tmp_path):
     """ur6 behind its table, so that the barrier acts: a program that may end early, CasADi's with a workspace."""
     folder = written(read_spec(next(path for path in shipped_specs() if path.stem == "ur6")), target)
     controller = CompiledController.load(folder)
@@ -245,15 +261,9 @@ def test_a_c_program_gets_the_numbers_of_a_step_with_a_barrier_too(target, writt
         for name in controller.step.outputs
     ]
     text = MAIN.replace("ASSIGNMENTS", "\n".join(assignments)).replace("PRINTS", "\n".join(prints))
-    main = folder / "main.c"
+    main = tmp_path / "main.c"
     main.write_text(text.replace("planar5", "ur6").replace("PLANAR5", "UR6"))
-    flags = [flag for flag in FLAGS if flag not in ("-shared", "-fPIC")]
-    program, sources = str(folder / "main"), [str(main), str(folder / "ur6.c")]
-    _expect_success([*find_compiler().command, *flags, f"-I{folder}", "-o", program, *sources, "-lm"])
-    printed = subprocess.run([program], capture_output=True, text=True, check=True).stdout
-    for name, *values in map(str.split, printed.splitlines()):
-        numbers = np.array([float.fromhex(value) for value in values]).reshape(expected[name].shape)
-        np.testing.assert_array_equal(numbers.view(np.uint64), expected[name].view(np.uint64), err_msg=name)
+    _expect_the_numbers_of_python(folder, main, expected, 1e-6)  # rows nearly parallel: ten steps to solve them
 
 
 def test_every_default_of_the_manifest_is_what_defaults_sets(planar5, planar5_folder, tmp_path):

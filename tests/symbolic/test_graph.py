@@ -16,7 +16,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from clikgen.symbolic.graph import CONDITIONS, LATENCY, Graph
+from clikgen.symbolic.graph import CONDITIONS, FUSED, LATENCY, Graph
 
 OPERATIONS = {
     "add": lambda x, y, _: x + y,
@@ -94,6 +94,9 @@ EXACT = {
     "and": lambda x, y: bool(x and y),
     "or": lambda x, y: bool(x or y),
     "select": lambda c, x, y: x if c else y,
+    "fmadd": lambda x, y, z: x * y + z,
+    "fmsub": lambda x, y, z: x * y - z,
+    "fnmadd": lambda x, y, z: z - x * y,
     **{name: left_open(name) for name in OPEN},
 }
 IN_NUMPY = {
@@ -198,6 +201,8 @@ def test_a_graph_is_its_expressions_whatever_root_and_sine_are(program, values):
     graph = Graph.of(inputs, results)
     exact = [list(map(Fraction, column)) for column in of_graph(graph, [[p, q], [r]], EXACT, Fraction)]
     assert exact == of_function(ca.Function("f", inputs, [ca.densify(one) for one in results]), [[p, q], [r]])
+    fused = of_graph(graph.fused(), [[p, q], [r]], EXACT, Fraction)
+    assert exact == [list(map(Fraction, column)) for column in fused]
 
 
 @given(programs(OPERATIONS.keys() - ROUNDED), st.integers(0, 2**32 - 1))
@@ -415,6 +420,53 @@ def test_no_order_of_a_sum_is_faster(seed):
             term = term * ca.SX.sym(f"f{k}_{j}")
         terms.append(term)
     assert depths(sum(terms)) == [earliest([int(count) * LATENCY["mul"] for count in factors])]
+
+
+# ---- Products that are added ----
+
+
+def fused(*results):
+    """The operations of each kind in the fused graph of the expressions."""
+    graph = of(*results).fused()
+    return Counter(graph.nodes[i].operation for i in graph.needed() if graph.nodes[i].arguments)
+
+
+@given(programs(OPERATIONS))
+def test_no_product_that_is_added_once_and_used_nowhere_else_is_left_alone(program):
+    _, results = carried_out(program)
+    if not finite(results):
+        return
+    plain = of(*results)
+    graph = plain.fused()
+    nodes = [graph.nodes[i] for i in graph.needed()]
+    uses = Counter(k for node in nodes for k in node.arguments)
+    uses.update(i for column in graph.results for i in column)
+    for node in nodes:
+        if node.operation in ("add", "sub"):
+            assert not any(graph.nodes[k].operation == "mul" and uses[k] == 1 for k in node.arguments)
+    pairs = sum(node.operation in FUSED for node in nodes)
+    assert graph.operations() + pairs == plain.operations()
+
+
+def test_a_product_and_a_sum_are_one_operation_whatever_their_signs():
+    assert fused(a * b + c) == {"fmadd": 1}
+    assert fused(a * b - c) == {"fmsub": 1}
+    assert fused(c - a * b) == {"fnmadd": 1}
+    assert fused(a * b + c * d) == {"mul": 1, "fmadd": 1}
+    assert fused(a**2 + 2.0) == {"fmadd": 1}
+
+
+def test_a_product_that_is_wanted_elsewhere_is_not_computed_twice():
+    assert fused(a * b + c, a * b - d) == {"mul": 1, "add": 1, "sub": 1}
+    assert fused(a * b + c, a * b) == {"mul": 1, "add": 1}
+    assert fused(a * b + a * b) == {"mul": 1, "add": 1}
+
+
+def test_of_two_products_the_one_that_is_ready_last_is_added():
+    graph = of(a * b + ca.sqrt(c) * d).fused()
+    ((last,),) = graph.results
+    _, _, first = graph.nodes[last].arguments
+    assert {graph.nodes[k].operation for k in graph.nodes[first].arguments} == {"given"}
 
 
 # ---- What it is not for ----

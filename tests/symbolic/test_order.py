@@ -49,6 +49,13 @@ def test_nothing_moves_across_anything_but_an_assignment_to_a_new_name(lines):
     assert sorted(found[:half]) == sorted(lines[:half])
 
 
+def test_a_product_and_a_sum_in_one_are_an_operation():
+    sums = [f"  const double t{k} = clikgen_fma(q[{k}], q[{k + 1}], q[{k + 2}]);" for k in range(WINDOW)]
+    lines = sums + quotients(WINDOW, 12)
+    assert list(ordered(lines)).index(lines[WINDOW]) == 0
+    assert list(ordered(sums)) == sums
+
+
 def products(count):
     return [f"  const double t{k} = q[{k}] * q[{k + 1}];" for k in range(count)]
 

@@ -1,4 +1,4 @@
-"""The smooth planner: eqs. 16-18 with a state, and what THEORY.md's reading C and a low-pass of the velocity entail.
+"""The smooth planner: eqs. 16-18 with a state, and what reading C of eq. 16 and a low-pass of the velocity entail.
 
 The oracle of the linear loop is python-control, built of the integrator T/(z − 1) and the low-pass b z/(z − (1 − b)).
 """

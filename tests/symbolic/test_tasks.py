@@ -116,7 +116,7 @@ def test_a_point_on_an_obstacles_centre_is_pushed_toward_minus_x(planar5, restin
     on_top = {"q": q, "tool_reference": tool, "obstacle_center": np.array([tool, [9, 9], [9, 9]])}
     only_tool = {"influence_radius": np.array([1e-6, 1e-6, 1e-6, 1e-6, 1e-6, 0.15])}
     outputs = planar5.step(**resting | on_top | only_tool | {"obstacle_count": 1})
-    assert outputs["distance"][5] == 0
+    assert abs(outputs["distance"][5]) < 4 * 2.0**-53 * np.linalg.norm(tool)  # the step rounds where it is by itself
     velocity = planar5.jacobians(q=q)["tool_jacobian"] @ outputs["dq_law"]
     assert velocity[0] < -1
     # away from a centre the push has the direction of the offset, however small that is
@@ -213,9 +213,9 @@ def test_a_free_robot_moves_its_tool_as_eq_4_asks(evaluate_many, states_near_con
     wanted = values["tool_reference_velocity"] + np.einsum("kij,kj->ki", values["tool_gain"], outputs["tool_error"])
     # σ_min(J_g) >= 1 for a mobile base: damping² = 1e-12 of a velocity below 30 m/s is lost
     np.testing.assert_allclose(moved, wanted, rtol=0, atol=3e-11)
-    np.testing.assert_array_equal(
-        outputs["tool_error"], values["tool_reference"] - evaluate_many("kinematics", values)["tool_position"]
-    )
+    error = values["tool_reference"] - evaluate_many("kinematics", values)["tool_position"]
+    rounding = 8 * 2.0**-53 * np.max(np.abs(values["q"][:, :2])) + 8 * 2.0**-53
+    np.testing.assert_allclose(outputs["tool_error"], error, rtol=0, atol=rounding)
 
 
 def _task(jacobian, velocity, error, gain, damping):
