@@ -57,9 +57,10 @@ def real_of(target: Target) -> Real:
 
 
 SCHEDULED = """\
-/* Many operations here wait for none of the others: gcc shall order them, with an eye on its registers. */
+/* Many operations here wait for none of the others: gcc shall order them, with an eye on its registers. And the root of
+ * a choice shall be one root: threaded jumps make it a choice of two, both of which vectors then take. */
 #if defined __GNUC__ && !defined __clang__
-#pragma GCC optimize("schedule-insns", "sched-pressure")
+#pragma GCC optimize("schedule-insns", "sched-pressure", "no-thread-jumps")
 #endif
 
 """

@@ -308,6 +308,8 @@ class Block:
     def _kept(self, i: int, text: Text) -> Text:
         """The expression, or the variable it has been given to where it is used more often or long."""
         node = self.graph.nodes[i]
+        if self.names.lanes and node.operation == "given" and "[" in text.text:
+            return Text(self.named(text.text))  # a load within a choice keeps the loop over robots from vectors
         if not node.arguments or node.operation in ("sin", "cos"):
             return text
         often = self._uses[i] > 1 and not self._is_sign(node)

@@ -12,9 +12,10 @@ from scipy.stats import kstest, norm, qmc, truncnorm
 
 from clikgen.analysis.metrics import metrics
 from clikgen.analysis.sweep import bind, read_sweep
+from clikgen.analysis.sweep_cluster import _packed, _unpacked
 from clikgen.analysis.sweep_design import Drawn, Grid, ListedAxis, NormalAxis, RangeAxis, SweepFile
 from clikgen.runtime.controller import CompiledController
-from clikgen.runtime.documents import read_toml
+from clikgen.runtime.documents import BadInput, read_toml
 from clikgen.runtime.scenario import CASES, Obstacle, find_scenario, read_scenario
 from clikgen.runtime.simulation import prepare
 from clikgen.symbolic.generate import shipped_folder
@@ -359,3 +360,13 @@ def test_sweep_that_ships_is_sound_and_its_first_rows_run(path):
 def test_million_is_a_million_of_a_thousand_steps():
     file = SweepFile.parse(read_toml(SHIPPED / "million.toml"), "million")
     assert (file.count, file.steps) == (1_000_000, 1000)
+
+
+@pytest.mark.parametrize("change", [{"fma": "?"}, {"versions": {"clikgen": "0", "numpy": "0", "scipy": "0"}}])
+def test_worker_that_would_give_other_numbers_refuses(change, sweep_of, tmp_path, monkeypatch):
+    monkeypatch.setenv("CLIKGEN_CACHE", str(tmp_path))
+    sweep = sweep_of(HEAD + RANDOM + axis("filter_cutoff", "range = [1.0, 20.0]"))
+    source = read_sweep(tmp_path / "sweep.toml")
+    assert _unpacked(_packed(source, sweep)).provenance == sweep.provenance
+    with pytest.raises(BadInput, match=r"wanted (\?|0), as where the results are written, got "):
+        _unpacked(_packed(source, replace(sweep, provenance={**sweep.provenance, **change})))

@@ -18,6 +18,7 @@ from clikgen.runtime.compiler import (
     cache_folder,
     compile_library,
     find_compiler,
+    has_fma,
     library_path,
 )
 from clikgen.runtime.controller import CompiledController
@@ -159,6 +160,23 @@ def test_every_optimisation_level_gives_the_same_bits(level, planar5, planar5_fo
 
 
 # ---- The cache ----
+
+
+@pytest.mark.parametrize("compiler", available_compilers(), ids=lambda one: one.command[-1])
+def test_fma_is_there_where_a_compiled_sum_shows_it(compiler, planar5_folder, tmp_path, monkeypatch):
+    generated = planar5_folder / "planar5.c"
+    asked = tmp_path / "asked.c"
+    asked.write_text(
+        generated.read_text() + "\ndouble sum(double a, double b, double c);\n"
+        "double sum(double a, double b, double c) { return clikgen_fma(a, b, c); }\n"
+    )
+    (tmp_path / "planar5.h").write_text((planar5_folder / "planar5.h").read_text())
+    for flags in (NATIVE, (*NATIVE, "-DCLIKGEN_FMA=0")):
+        monkeypatch.setattr(compiler_module, "NATIVE", flags)
+        library = ctypes.CDLL(str(compile_library([asked], compiler, flags)))
+        library.sum.restype, library.sum.argtypes = ctypes.c_double, [ctypes.c_double] * 3
+        assert has_fma(generated, compiler) == (library.sum(1 / 3, 3.0, -1.0) != 0)
+    assert not has_fma(generated, compiler)
 
 
 def test_a_library_is_compiled_once_and_found_again(source, cache):
