@@ -6,7 +6,7 @@ Everything in turn, round after round in one process; medians of the rounds, rat
 states of their own. "one after the other" is the step in a loop in C, as it is, with vectors within a step, and
 without any; "side by side" the same loop over blocks of lanes; all compiled here for the vectors of the row; then
 `simulate_batch` as it is called, which brings up to date what it measures after every step. "arithmetic alone" is a
-loop without memory on one thread and on all: no program gains more from a second core than that.
+loop of vectors without memory on one thread and on all: no program gains more from a second core than that.
 """
 
 import json
@@ -27,7 +27,7 @@ from common import compiler, machine, per_call
 from numpy.typing import NDArray
 
 from clikgen.runtime.batch import METRICS, cores, simulate_batch
-from clikgen.runtime.compiler import FLAGS, find_compiler
+from clikgen.runtime.compiler import FLAGS, NATIVE, find_compiler
 from clikgen.runtime.controller import CompiledController
 
 ROUNDS = 25
@@ -121,7 +121,7 @@ def main() -> None:
         ffi = cffi.FFI()
         ffi.cdef("double spin(long long);")
         subprocess.run(
-            [*find_compiler().command, "-O2", "-fPIC", "-shared", "-o", f"{place}/spin.so", HERE / "batch_loops.c"],
+            [*find_compiler().command, *FLAGS, *NATIVE, "-o", f"{place}/spin.so", HERE / "batch_loops.c"],
             check=True,
         )
         call = ffi.dlopen(f"{place}/spin.so")

@@ -42,6 +42,7 @@ LEAST_PROMINENCE = 1e-12  # of a turning point, whatever the dead-band
 LANES = 16  # rollouts side by side, where the generated code does not say how many
 ALIGNMENT = 64  # [bytes] of what vectors are loaded from
 WORK = 100_000_000  # operations of steps between two looks at whether to stop: some 50 ms
+PIECES = 8  # of what a thread is given, one after the other: one that is held up leaves the rest to the others
 
 _ffi = cffi.FFI()
 _ffi.cdef("""
@@ -178,8 +179,8 @@ class _Batch:
     def groups(self, rollouts: Indices, steps: Indices) -> list[_Group]:
         """The rollouts, each for that many steps, sorted into groups. Without a spectrum the period does not matter."""
         period = self.period[rollouts] if "hf_rms" in self.results else np.ones(rollouts.size)
-        pairs, pair = np.unique(np.column_stack([steps, period]), axis=0, return_inverse=True)
-        every = [(int(k), *_segment(int(k), T, self.settings.f_h)) for k, T in pairs]
+        pairs, pair = np.unique(steps + 1j * period, return_inverse=True)  # sorted far sooner than rows are
+        every = [(int(one.real), *_segment(int(one.real), one.imag, self.settings.f_h)) for one in pairs.tolist()]
         kinds, kind_of = np.unique(every, axis=0, return_inverse=True)
         kind = kind_of[pair]
         order = np.argsort(kind, kind="stable")
@@ -214,7 +215,9 @@ class _Batch:
         """The group in pieces: the first block, and the block after the last."""
         plan = _plan(self, group, metrics)
         blocks = len(plan.blocks)
-        together = max(1, min(self._most // group.steps, -(-blocks // threads)))
+        share = -(-blocks // threads)
+        piece = max(-(-share // PIECES), self._most // (4 * PIECES * group.steps))  # worth the way through Python
+        together = max(1, min(self._most // group.steps, share, piece))
         for first in range(0, blocks, together):
             yield plan, first, min(first + together, blocks)
 
@@ -256,7 +259,7 @@ def _prepare(
         raise BadInput(
             f"metrics.f_h: wanted less than the Nyquist frequency {0.5 / slowest:g} Hz, got {settings.f_h:g}"
         )
-    return _Batch(controller, _engine(controller), values, settings, period, results, np.zeros(count))
+    return _Batch(controller, _engine(controller, NATIVE), values, settings, period, results, np.zeros(count))
 
 
 def _room_for_results(info: FunctionInfo, count: int, metrics: Sequence[str]) -> dict[str, Array]:
@@ -327,16 +330,18 @@ class _Engine:
     kept: Any  # the library that step_lanes is in
 
 
-def _engine(controller: CompiledController) -> _Engine:
+@lru_cache(maxsize=16)
+def _engine(controller: CompiledController, flags: tuple[str, ...]) -> _Engine:
+    """The engine of a controller; finding it anew would cost as much as a batch of a few thousand steps."""
     manifest, compiler = controller.manifest, controller.compiler or find_compiler()
     lanes = manifest.lanes or LANES
     own = Path(str(resources.files(__package__))) / "batch.c"
-    engine = _library(_ffi, compile_library([own], compiler, (*NATIVE, f"-DLANES={lanes}")))
+    engine = _library(_ffi, compile_library([own], compiler, (*flags, f"-DLANES={lanes}")))
     if manifest.lanes is None:
         return _Engine(engine, lanes, _ffi.NULL, None)
     source = controller.folder / f"{manifest.controller}_lanes.c"
     symbol = f"{manifest.controller}_step_lanes"
-    library = _library(_declaring(symbol), compile_library([source], compiler, NATIVE))
+    library = _library(_declaring(symbol), compile_library([source], compiler, flags))
     return _Engine(engine, lanes, _ffi.cast("void *", getattr(library, symbol)), library)
 
 
