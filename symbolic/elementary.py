@@ -21,9 +21,9 @@ cos(-x) = cos(x) exactly, though sin(-0) is +0.
 `clikgen_atan2(y, x)` has one division: atan t with |t| <= tan π/8, t = y/x, -x/y or (y - x)/(y + x), plus a multiple of
 π/4. Zeros have the signs that C99 gives them: atan2(0, 0) = 0, atan2(0, -0) = π. Two infinities make NaN, as NaN does.
 
-`clikgen_fma(a, b, c)` is a b + c: rounded once where there is an instruction for it (`CLIKGEN_FMA` is 1, as on x86 from
-AVX2 on and on 64-bit ARM), twice elsewhere or given -DCLIKGEN_FMA=0. The text alone says which products and sums that
-are: of each of the two kinds, the results are the same for all compilers, vectors and machines.
+`clikgen_fma(a, b, c)` is a b + c: rounded once where there is an instruction for it (`CLIKGEN_FMA` is 1, as on x86
+from AVX2 on, 64-bit ARM and RISC-V), twice elsewhere or given -DCLIKGEN_FMA=0. The text alone says which products and
+sums that are: of each of the two kinds, the results are the same for all compilers, vectors and machines.
 
 The polynomials are minimax fits (Remez) made for this file, on [-π/4, π/4] and [-tan π/8, tan π/8].
 """
@@ -73,7 +73,7 @@ static inline double clikgen_real(uint64_t x) {
 """,
     "fma": """\
 /* a b + c: rounded once where this processor does that in one instruction, else twice. -DCLIKGEN_FMA=0 has it twice. */
-#if !defined CLIKGEN_FMA && (defined __FP_FAST_FMA || defined __FMA__)
+#if !defined CLIKGEN_FMA && (defined __FP_FAST_FMA || defined __FMA__ || (defined __riscv_flen && __riscv_flen >= 64))
 #define CLIKGEN_FMA 1
 #elif !defined CLIKGEN_FMA && defined __ARM_FEATURE_FMA && defined __ARM_FP
 #define CLIKGEN_FMA (__ARM_FP & 8 ? 1 : 0)
@@ -176,7 +176,7 @@ static inline float clikgen_real(uint32_t x) {
 """,
     "fma": """\
 /* a b + c: rounded once where this processor does that in one instruction, else twice. -DCLIKGEN_FMA=0 has it twice. */
-#if !defined CLIKGEN_FMA && (defined __FP_FAST_FMAF || defined __FMA__)
+#if !defined CLIKGEN_FMA && (defined __FP_FAST_FMAF || defined __FMA__ || (defined __riscv_flen && __riscv_flen >= 32))
 #define CLIKGEN_FMA 1
 #elif !defined CLIKGEN_FMA && defined __ARM_FEATURE_FMA && defined __ARM_FP
 #define CLIKGEN_FMA (__ARM_FP & 4 ? 1 : 0)

@@ -49,7 +49,7 @@ static inline double clikgen_real(uint64_t x) {
 }
 
 /* a b + c: rounded once where this processor does that in one instruction, else twice. -DCLIKGEN_FMA=0 has it twice. */
-#if !defined CLIKGEN_FMA && (defined __FP_FAST_FMA || defined __FMA__)
+#if !defined CLIKGEN_FMA && (defined __FP_FAST_FMA || defined __FMA__ || (defined __riscv_flen && __riscv_flen >= 64))
 #define CLIKGEN_FMA 1
 #elif !defined CLIKGEN_FMA && defined __ARM_FEATURE_FMA && defined __ARM_FP
 #define CLIKGEN_FMA (__ARM_FP & 8 ? 1 : 0)
