@@ -84,7 +84,7 @@ def chatter_map_plate(maps: Sequence[ChatterMap]) -> Plate:
             mesh = axes.pcolormesh(one.gains, one.betas, one.switching, cmap="viridis", vmin=0.0, vmax=1.0)
             mesh.set_rasterized(True)
             for edge, style in zip(EDGES, ("-", "--"), strict=True):
-                shown = one.gains[one.gains >= edge / one.betas.max()]
+                shown = np.linspace(edge / one.betas[-1], one.gains[-1])  # from the frame on
                 axes.plot(shown, edge / shown, color="black", linestyle=style, label=rf"$\beta K_oT = {edge:g}$")
             mark = {"color": "#D55E00", "marker": "o", "markeredgecolor": "white", "linestyle": "none"}
             axes.plot(*one.own, label="as the scenario has it", clip_on=False, zorder=3, **mark)

@@ -70,6 +70,7 @@ def test_the_picture_has_a_panel_a_case_the_edges_and_all_numbers(maps):
         for line, edge in zip(axes.lines, EDGES, strict=False):
             strength, beta = line.get_data()
             np.testing.assert_allclose(strength * beta, edge)
+            assert (beta[0], strength[-1]) == pytest.approx((axes.get_ylim()[1], axes.get_xlim()[1]))
 
 
 def test_a_run_that_diverges_is_not_counted(planar5, paper):
