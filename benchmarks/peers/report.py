@@ -159,7 +159,7 @@ def draw(axis: plt.Axes, bars: Sequence[Bar]) -> None:
         text_of.set_fontweight("bold" if bar.law == "ours" else "normal")
     axis.set_ylim(len(bars) - 0.4, -0.6)
     axis.set_xscale("log")
-    axis.set_xlim(0.02, 1000)
+    axis.set_xlim(0.01, 1000)
     axis.xaxis.set_major_formatter(lambda value, _: f"{value:g}")
     axis.tick_params(axis="x", labelbottom=True, labelsize=8.5)
     axis.tick_params(axis="y", length=0)
