@@ -280,7 +280,7 @@ def _made_by(controller: CompiledController) -> dict[str, Any]:
         "spec_sha256": manifest.spec_sha256,
         "source_sha256": manifest.source_sha256,
         "compiler_flags": [*FLAGS, *NATIVE],
-        "fma": has_fma(controller.folder / f"{manifest.controller}.c"),
+        "fma": has_fma(controller.folder / f"{manifest.controller}.c", controller.compiler),
         "versions": {name: version(name) for name in ("clikgen", "numpy", "scipy")},
     }
 

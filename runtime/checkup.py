@@ -63,7 +63,7 @@ def _step() -> Finding:
     except BadInput as error:
         return Finding("planar5", str(error), False, "see the lines above")
     lam = controller.step()["lam"]
-    fma = "with" if has_fma(controller.folder / "planar5.c") else "without"
+    fma = "with" if has_fma(controller.folder / "planar5.c", controller.compiler) else "without"
     return Finding("planar5", f"compiled {fma} FMA, loaded and stepped (λ = {float(lam):g})", True)
 
 
