@@ -10,6 +10,7 @@ rounding to nearest:
                (float: 1e-30, 1e38)
     floor      all                                  exact                 exact
     ceil       all                                  exact                 exact
+    choice     all                                  exact                 exact
     fma        all                                  0.5 ulp               0.5 ulp, both with CLIKGEN_FMA
 
 `clikgen_sincos(x, &s, &c)` takes n = x / (π/2) to the nearest whole number by adding and subtracting 1.5 2^52 (2^23),
@@ -24,6 +25,8 @@ cos(-x) = cos(x) exactly, though sin(-0) is +0.
 `clikgen_fma(a, b, c)` is a b + c: rounded once where there is an instruction for it (`CLIKGEN_FMA` is 1, as on x86
 from AVX2 on, 64-bit ARM and RISC-V), twice elsewhere or given -DCLIKGEN_FMA=0. The text alone says which products and
 sums that are: of each of the two kinds, the results are the same for all compilers, vectors and machines.
+
+`clikgen_choice(clikgen_mask(c), x, y)` is c ? x : y without a branch, so that no processor guesses wrong.
 
 The polynomials are minimax fits (Remez) made for this file, on [-π/4, π/4] and [-tan π/8, tan π/8].
 """
@@ -45,10 +48,15 @@ _GUARD = """\
 #if defined __clang__ && __clang_major__ >= 11
 #pragma clang fp reassociate(off)
 #endif
+/* From a product in a sum here and in a difference there gcc 12 makes an FMA even where there shall be none. */
+#if defined CLIKGEN_FMA && !CLIKGEN_FMA && defined __FMA__ && defined __GNUC__ && !defined __clang__
+#pragma GCC target("no-fma")
+#endif
 """
 
 _NEEDS = {
     "fma": (),
+    "choice": ("bits",),
     "sincos": ("bits", "fma"),
     "atan2": ("bits", "masks", "fma"),
     "floor": ("bits", "masks"),
@@ -87,6 +95,15 @@ static inline double clikgen_fma(double a, double b, double c) {
 #else
   return a * b + c;
 #endif
+}
+""",
+    "choice": """\
+/* All ones where the condition holds, else 0. */
+static inline uint64_t clikgen_mask(int condition) { return 0 - (uint64_t)condition; }
+
+/* x where the mask is all ones, y where it is 0. */
+static inline double clikgen_choice(uint64_t mask, double x, double y) {
+  return clikgen_real((clikgen_bits(x) & mask) | (clikgen_bits(y) & ~mask));
 }
 """,
     "masks": """\
@@ -190,6 +207,15 @@ static inline float clikgen_fma(float a, float b, float c) {
 #else
   return a * b + c;
 #endif
+}
+""",
+    "choice": """\
+/* All ones where the condition holds, else 0. */
+static inline uint32_t clikgen_mask(int condition) { return 0 - (uint32_t)condition; }
+
+/* x where the mask is all ones, y where it is 0. */
+static inline float clikgen_choice(uint32_t mask, float x, float y) {
+  return clikgen_real((clikgen_bits(x) & mask) | (clikgen_bits(y) & ~mask));
 }
 """,
     "masks": """\

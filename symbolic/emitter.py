@@ -5,7 +5,7 @@ import re
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 from clikgen.symbolic import elementary
@@ -94,6 +94,14 @@ class Scalars:
         return self.texts[entry].within(_ATOM)
 
 
+@dataclass(frozen=True, slots=True)
+class _Run:
+    """Entries that are one loop: `count` of them from `first` on, of an array that goes on before and after."""
+
+    first: int
+    count: int
+
+
 @dataclass(slots=True)
 class Names:
     """New names of variables, and what the text needs besides."""
@@ -119,12 +127,15 @@ class Block:
     names: Names
     lines: list[str]
     indent: str = "  "
+    repeated: bool = False  # whether it is the body of a loop
     graph: Graph = field(init=False)
     _known: dict[int, Text] = field(default_factory=dict)
     _uses: Counter[int] = field(default_factory=Counter)
 
     def __post_init__(self) -> None:
         self.graph = self.procedure.graph().fused()
+        if not self.repeated and not self.names.lanes:  # vectors choose by themselves, and guesses help a long loop
+            self.graph = self.graph.without_branches()
         needed = self.graph.needed()
         self._uses = Counter(k for i in needed for k in self.graph.nodes[i].arguments)
         self._uses.update(i for result in self.graph.results for i in result)
@@ -217,7 +228,7 @@ class Block:
         if not loop.carried and not self.names.lanes:
             self.line(SIDE_BY_SIDE)
         with self.braces(f"for (int {k} = 0; {k} < {loop.count}; ++{k})"):
-            body = Block(loop.body, bound, self.names, self.lines, self.indent)
+            body = Block(loop.body, bound, self.names, self.lines, self.indent, repeated=True)
             columns = body.run()
             onward = [[body.value(i) for i in column] for column in columns[: loop.carried]]
             for array, column in zip(results, columns[loop.carried :], strict=True):
@@ -315,7 +326,9 @@ class Block:
         often = self._uses[i] > 1 and not self._is_sign(node)
         if len(text.text) <= (30 if node.operation in CONDITIONS else 0 if often else WIDEST):
             return text
-        return Text(self.named(text.text, "int" if node.operation in CONDITIONS else ""))
+        mask = "uint64_t" if self.names.real == "double" else "uint32_t"
+        kind = "int" if node.operation in CONDITIONS else mask if node.operation == "mask" else ""
+        return Text(self.named(text.text, kind))
 
     def _is_sign(self, node: Node) -> bool:
         return node.operation == "neg" and not self.graph.nodes[node.arguments[0]].arguments
@@ -369,25 +382,49 @@ class Block:
         angles = [i for i in dict.fromkeys(turned) if nodes[i].operation == "given"]
         if len(angles) < 2:
             return
-        count, k = len(angles), self.names.new("k")
-        angle = self.filled(angles, 1, "angle")
-        sine, cosine = self.names.new("sine"), self.names.new("cosine")
+        k, angle = self.names.new("k"), self.filled(angles, 1, "angle")
+        runs = self._runs(angle, angles)
+        sine, cosine, count = self.names.new("sine"), self.names.new("cosine"), sum(run.count for run in runs)
         self.line(f"{self.names.real} {sine}[{count}], {cosine}[{count}];")
         self.names.helpers.add("sincos")
-        self.line(SIDE_BY_SIDE)
-        call = f"clikgen_sincos({_column(angle, k).at(0)}, &{sine}[{k}], &{cosine}[{k}]);"
-        self.line(f"for (int {k} = 0; {k} < {count}; ++{k}) {call}")
-        for j, i in enumerate(angles):
-            for name, array in (("sin", sine), ("cos", cosine)):
-                number = self.graph.number(Node(name, (i,)))
-                if number is not None:
-                    self._known[number] = Text(f"{array}[{j}]")
+        place = 0
+        for run in runs:
+            there = _column(replace(angle, offset=angle.index(run.first)), k).at(0)
+            at = f"{place} + {k}" if place else k
+            self.line(SIDE_BY_SIDE)
+            call = f"clikgen_sincos({there}, &{sine}[{at}], &{cosine}[{at}]);"
+            self.line(f"for (int {k} = 0; {k} < {run.count}; ++{k}) {call}")
+            for j in range(max(run.first, 0), min(run.first + run.count, len(angles))):
+                for name, array in (("sin", sine), ("cos", cosine)):
+                    number = self.graph.number(Node(name, (angles[j],)))
+                    if number is not None:
+                        self._known[number] = Text(f"{array}[{place + j - run.first}]")
+            place += run.count
+
+    def _runs(self, angle: Array, angles: Sequence[int]) -> tuple[_Run, ...]:
+        """In which runs angles are turned into sines and cosines: all at once, unless that takes vectors more.
+
+        Three angles more than whole vectors of four would be a pair and a single one: better four, those before or
+        beside them among them.
+        """
+        count = len(angles)
+        if count % 4 != 3:
+            return (_Run(0, count),)
+        if count > 4:
+            return _Run(0, count - 3), _Run(count - 4, 4)
+        array = self.given[self.graph.nodes[angles[0]].array]
+        if isinstance(array, Array) and array.name == angle.name and array.row_stride == angle.column_stride == 1:
+            if angle.offset + count < array.offset + array.rows:
+                return (_Run(0, 4),)
+            if angle.offset > array.offset:
+                return (_Run(-1, 4),)
+        return (_Run(0, count),)
 
     def _call(self, operation: str, arguments: Sequence[str]) -> Text:
         suffix = "f" if self.names.real == "float" else ""
-        if operation in ("sqrt", "abs"):
+        if operation in ("sqrt", "abs", "copysign"):
             return Text(f"{'f' * (operation == 'abs')}{operation}{suffix}({', '.join(arguments)})", _CALL)
-        self.names.helpers.add(operation)
+        self.names.helpers.add("choice" if operation == "mask" else operation)
         return Text(f"clikgen_{operation}({', '.join(arguments)})", _CALL)
 
     def _sine_or_cosine(self, operation: str, angle: int, text: str) -> Text:

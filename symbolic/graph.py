@@ -13,8 +13,9 @@ FUSED = ("fmadd", "fmsub", "fnmadd")
 """Of a, b and c: a b + c, a b - c and c - a b, rounded once."""
 
 LATENCY = {
-    **{"add": 3, "sub": 3, "mul": 3, "div": 13, "sqrt": 20, "sin": 60, "cos": 60, "atan2": 80, "select": 2},
+    **{"add": 3, "sub": 3, "mul": 3, "div": 13, "sqrt": 20, "sin": 60, "cos": 60, "atan2": 80, "select": 2, "mask": 4},
     **dict.fromkeys(FUSED, 4),
+    "choice": 2,
 }
 """Cycles of an operation on a desktop processor; the others take about one. Only their proportions matter."""
 
@@ -28,6 +29,7 @@ _OPERATIONS = {
     ca.OP_NEG: "neg",
     ca.OP_SQRT: "sqrt",
     ca.OP_FABS: "abs",
+    ca.OP_COPYSIGN: "copysign",
     ca.OP_SIN: "sin",
     ca.OP_COS: "cos",
     ca.OP_ATAN2: "atan2",
@@ -70,7 +72,7 @@ class Graph:
     Real and boolean nodes are told apart, and choices are one node. Quotients are products with a reciprocal where
     that is shared or ready early, and sums add first what is ready first. Signs move outward: −x y is one product
     and, where it is added, one difference. Reciprocals and sums round otherwise than the expressions that they come
-    from, all else as these.
+    from, all else as these; zeros may have either sign.
     """
 
     nodes: list[Node] = field(default_factory=list)
@@ -154,6 +156,28 @@ class Graph:
                 operation = "fmadd" if operation == "add" else "fmsub" if product == arguments[0] else "fnmadd"
                 arguments = (*self.nodes[product].arguments, sum(arguments) - product)
             here[i] = graph._numbered(replace(node, operation=operation, arguments=tuple(here[k] for k in arguments)))
+        graph.results = [[here[i] for i in result] for result in self.results]
+        return graph
+
+    def without_branches(self) -> "Graph":
+        """The same with masks and choices in place of selects where one condition makes several between results.
+
+        Of those a compiler makes a branch, and all that is computed after it waits for a guess to be made good.
+        """
+        needed = self.needed()
+        choices = [self.nodes[i].arguments for i in needed if self.nodes[i].operation == "select"]
+        between_results = [x[0] for x in choices if any(self.nodes[k].arguments for k in x[1:])]
+        several = {condition for condition, count in Counter(between_results).items() if count > 1}
+        graph = Graph()
+        here: dict[int, int] = {}
+        for i in needed:
+            node = self.nodes[i]
+            arguments = tuple(here[k] for k in node.arguments)
+            if node.operation == "select" and node.arguments[0] in several:
+                mask = graph._numbered(Node("mask", arguments[:1]))
+                here[i] = graph._numbered(Node("choice", (mask, *arguments[1:])))
+            else:
+                here[i] = graph._numbered(replace(node, arguments=arguments))
         graph.results = [[here[i] for i in result] for result in self.results]
         return graph
 

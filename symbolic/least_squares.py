@@ -31,12 +31,12 @@ class LdlFactor:
         """
         rows, d = list[dict[int, ca.SX]](), list[ca.SX]()
         for i in range(A.shape[0]):
-            row: dict[int, ca.SX] = {}
+            row, scaled = dict[int, ca.SX](), dict[int, ca.SX]()  # of L and, before the division, of L D
             for j in range(i):
-                entry = A[i, j] - sum(row[k] * d[k] * rows[j][k] for k in row if k in rows[j])
+                entry = A[i, j] - sum(scaled[k] * rows[j][k] for k in row if k in rows[j])
                 if not entry.is_zero():
-                    row[j] = entry / d[j]
-            d.append(ca.fmax(A[i, i] - sum(row[k] ** 2 * d[k] for k in row), least[i]))
+                    row[j], scaled[j] = entry / d[j], entry
+            d.append(ca.fmax(A[i, i] - sum(scaled[k] * row[k] for k in row), least[i]))
             rows.append(row)
         return cls(tuple(rows), tuple(d))
 

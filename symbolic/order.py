@@ -18,7 +18,7 @@ PIECE = 300  # assignments ordered together: what is computed long before it is 
 # as Block.named writes them
 _ASSIGNMENT = re.compile(r" *const \w+ (t\d+) = (.*);")
 _NAME = re.compile(r"\bt\d+\b")
-_OPERATION = re.compile(r" ([-+*/?]) |(sqrt|atan2|fma)f?\(")
+_OPERATION = re.compile(r" ([-+*/?]) |(sqrt|atan2|fma|mask|choice)f?\(")
 _KINDS = {"+": "add", "-": "sub", "*": "mul", "/": "div", "?": "select", "fma": "fmadd"}
 _SLOTS = {"div": 4, "sqrt": 5, "atan2": 40}  # of the ISSUE_WIDTH of a cycle; others take one
 

@@ -30,8 +30,8 @@ class Motion:
 
     def share(self, lam: ca.SX, chosen: "AnyFilter") -> tuple[ca.SX, tuple[Signal, ...]]:
         """B = 1 − λ(1 − β), what eqs. 16 and 17 together leave of q_i − q_{i−1}: (n, 1), and the filter's inputs."""
-        beta, inputs = chosen.build(self.period, self.robot.input_of)
-        return 1 - lam * (1 - beta), inputs
+        kept, inputs = chosen.build(self.period, self.robot.input_of)
+        return 1 - lam * kept, inputs
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -21,16 +21,18 @@ def quaternion_of(R: ca.SX) -> ca.SX:
     """
     w = ca.horzcat(R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1])  # 4 w (x, y, z)
     trace = ca.trace(R)
-    rows = [ca.horzcat(1 + trace, w)]
+    rows = [(1 + trace, ca.horzcat(1 + trace, w))]  # each after its entry of the diagonal
     for i in range(3):
         vector = [R[i, j] + R[j, i] for j in range(3)]
         vector[i] = 1 + 2 * R[i, i] - trace
-        rows.append(ca.horzcat(w[i], *vector))
-    best, largest = rows[0], rows[0][0]
-    for i in (1, 2, 3):
-        better = rows[i][i] > largest
-        best, largest = ca.if_else(better, rows[i], best), ca.if_else(better, rows[i][i], largest)
+        rows.append((vector[i], ca.horzcat(w[i], *vector)))
+    largest, best = _larger(_larger(*rows[:2]), _larger(*rows[2:]))
     return _with_positive_w(best.T) / (2 * ca.sqrt(largest))
+
+
+def _larger(one: tuple[ca.SX, ca.SX], other: tuple[ca.SX, ca.SX]) -> tuple[ca.SX, ca.SX]:
+    """Of two numbers, each with a row, the greater one with its row."""
+    return ca.fmax(one[0], other[0]), ca.if_else(other[0] > one[0], other[1], one[1])
 
 
 def unit_quaternion(q: ca.SX) -> ca.SX:
@@ -73,4 +75,4 @@ def cross_matrix(v: ca.SX) -> ca.SX:
 
 def _with_positive_w(q: ca.SX) -> ca.SX:
     """The quaternion of the same rotation whose w >= 0."""
-    return ca.if_else(q[0] < 0, -1, 1) * q
+    return ca.vertcat(ca.fabs(q[0]), ca.copysign(1, q[0]) * q[1:])

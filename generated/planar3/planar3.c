@@ -4,7 +4,7 @@
  *
  *   planar3_kinematics: 31 operations at most
  *   planar3_jacobians: 32 operations at most
- *   planar3_step: 196 operations at most
+ *   planar3_step: 189 operations at most
  * Arguments, shapes and units: planar3.h. No allocation, no global state; of libm sqrt only.
  * Compiled for a processor with FMA (-march=native, -mfma, 64-bit ARM) it is a tenth faster, and its last bits are not
  * those of others; -DCLIKGEN_FMA=0 rounds the same everywhere.
@@ -32,6 +32,10 @@
 #endif
 #if defined __clang__ && __clang_major__ >= 11
 #pragma clang fp reassociate(off)
+#endif
+/* From a product in a sum here and in a difference there gcc 12 makes an FMA even where there shall be none. */
+#if defined CLIKGEN_FMA && !CLIKGEN_FMA && defined __FMA__ && defined __GNUC__ && !defined __clang__
+#pragma GCC target("no-fma")
 #endif
 
 #include <stdint.h>
@@ -213,7 +217,7 @@ int planar3_step(const double **arg, double **res, long long int *iw, double *w,
   CLIKGEN_SIMD
   for (int k23 = 0; k23 < 3; ++k23) clikgen_sincos(q[k23], &sine24[k23], &cosine25[k23]);
   const double t26 = period[0] * 6.283185307179586;
-  const double t27 = t26 * filter_cutoff[0];
+  const double t27 = 1.0 - lam_free[0] / clikgen_fma(t26, filter_cutoff[0], 1.0);
   const double t28 = posture_reference[0] - q[0];
   const double t29 = clikgen_fma(posture_gain[0], t28, posture_reference_velocity[0]);
   const double t30 = posture_near_singularity[0] * posture_near_singularity[0];
@@ -250,57 +254,54 @@ int planar3_step(const double **arg, double **res, long long int *iw, double *w,
   const double t61 = clikgen_fma(t51, t60, clikgen_fma(t40, t44, t39 * t43));
   const double t62 = clikgen_fma(t60, t60, clikgen_fma(t44, t44, t43 * t43));
   const double t63 = clikgen_fma(t62, 1.4210854715202004e-14, 1e-200);
-  const double t64 = t62 > t63 ? t62 : t63;
-  const double t65 = 1.0 / t64;
-  const double t66 = t61 * t65;
-  const double t67 = t66 * t66;
-  const double t68 = clikgen_fma(t51, t51, clikgen_fma(t40, t40, t39 * t39));
-  const double t69 = clikgen_fma(-t64, t67, t68);
-  const double t70 = clikgen_fma(1.4210854715202004e-14, t68, 1e-200);
-  const double t71 = 1.0 / (tool_near_singularity[0] * tool_near_singularity[0]);
-  const double t72 = 1.0 / (t65 + (1.0 + t67) / (t69 > t70 ? t69 : t70));
-  const double t73 = clikgen_fma(-t72, t71, 1.0);
-  const double t74 = 0.0 > t73 ? 0.0 : t73;
-  const double t75 = tool_damping[0] * tool_damping[0] * (t74 * t74);
-  const double t76 = t62 + t75;
-  const double t77 = 1.0 / t76;
-  const double t78 = t61 * t77;
-  const double t79 = clikgen_fma(t35, t44, clikgen_fma(t43, t59, tool_reference_velocity[0]));
-  const double t80 = clikgen_fma(t47, t50, clikgen_fma(t56, t60, t79));
-  const double t81 = clikgen_fma(-t35, t40, clikgen_fma(-t39, t59, tool_reference_velocity[1]));
-  const double t82 = clikgen_fma(t78, t80, clikgen_fma(t46, t50, clikgen_fma(-t51, t56, t81)));
-  const double t83 = t68 + t75;
-  const double t84 = clikgen_fma(-t76, t78 * t78, t83);
-  const double t85 = clikgen_fma(1.4210854715202004e-14, t76 + t83, t75);
-  const double t86 = t82 / (t84 > t85 ? t84 : t85);
-  const double t87 = clikgen_fma(t78, t86, t77 * t80);
-  const double t88 = clikgen_fma(-t44, t87, clikgen_fma(t40, t86, t35));
-  const double t89 = clikgen_fma(-t60, t87, clikgen_fma(t51, t86, t56));
-  const double t90 = fabs(t88) * (1.0 / velocity_limit[0]);
-  const double t91 = fabs(t89) * (1.0 / velocity_limit[1]);
-  const double t92 = clikgen_fma(-t43, t87, clikgen_fma(t39, t86, t59));
-  const double t93 = t90 > t91 ? t90 : t91;
-  const double t94 = fabs(t92) * (1.0 / velocity_limit[2]);
-  const double t95 = t93 > t94 ? t93 : t94;
-  const double t96 = 1.0 / (1.0 > t95 ? 1.0 : t95);
-  const double t97 = t88 * t96;
-  const double t98 = clikgen_fma(-lam_free[0], 1.0 - t27 / (1.0 + t27), 1.0) * t97;
-  q_next[0] = clikgen_fma(period[0], t98, q[0]);
-  const double t99 = t26 * filter_cutoff[1];
-  const double t100 = t89 * t96;
-  const double t101 = clikgen_fma(-lam_free[0], 1.0 - t99 / (1.0 + t99), 1.0) * t100;
-  q_next[1] = clikgen_fma(period[0], t101, q[1]);
-  const double t102 = t26 * filter_cutoff[2];
-  const double t103 = clikgen_fma(-lam_free[0], 1.0 - t102 / (1.0 + t102), 1.0);
-  const double t104 = t92 * t96;
-  const double t105 = t103 * t104;
-  q_next[2] = clikgen_fma(period[0], t105, q[2]);
-  dq[0] = t98;
-  dq[1] = t101;
-  dq[2] = t105;
-  dq_law[0] = t97;
-  dq_law[1] = t100;
-  dq_law[2] = t104;
+  const double t64 = 1.0 / (t62 > t63 ? t62 : t63);
+  const double t65 = t61 * t64;
+  const double t66 = clikgen_fma(t51, t51, clikgen_fma(t40, t40, t39 * t39));
+  const double t67 = clikgen_fma(-t61, t65, t66);
+  const double t68 = clikgen_fma(1.4210854715202004e-14, t66, 1e-200);
+  const double t69 = t64 + clikgen_fma(t65, t65, 1.0) / (t67 > t68 ? t67 : t68);
+  const double t70 = 1.0 / (tool_near_singularity[0] * tool_near_singularity[0]);
+  const double t71 = clikgen_fma(-(1.0 / t69), t70, 1.0);
+  const double t72 = 0.0 > t71 ? 0.0 : t71;
+  const double t73 = tool_damping[0] * tool_damping[0] * (t72 * t72);
+  const double t74 = t62 + t73;
+  const double t75 = 1.0 / t74;
+  const double t76 = t61 * t75;
+  const double t77 = clikgen_fma(t35, t44, clikgen_fma(t43, t59, tool_reference_velocity[0]));
+  const double t78 = clikgen_fma(t47, t50, clikgen_fma(t56, t60, t77));
+  const double t79 = clikgen_fma(-t35, t40, clikgen_fma(-t39, t59, tool_reference_velocity[1]));
+  const double t80 = clikgen_fma(t76, t78, clikgen_fma(t46, t50, clikgen_fma(-t51, t56, t79)));
+  const double t81 = t66 + t73;
+  const double t82 = clikgen_fma(-t61, t76, t81);
+  const double t83 = clikgen_fma(1.4210854715202004e-14, t74 + t81, t73);
+  const double t84 = t80 / (t82 > t83 ? t82 : t83);
+  const double t85 = clikgen_fma(t76, t84, t75 * t78);
+  const double t86 = clikgen_fma(-t44, t85, clikgen_fma(t40, t84, t35));
+  const double t87 = clikgen_fma(-t60, t85, clikgen_fma(t51, t84, t56));
+  const double t88 = fabs(t86) * (1.0 / velocity_limit[0]);
+  const double t89 = fabs(t87) * (1.0 / velocity_limit[1]);
+  const double t90 = clikgen_fma(-t43, t85, clikgen_fma(t39, t84, t59));
+  const double t91 = t88 > t89 ? t88 : t89;
+  const double t92 = fabs(t90) * (1.0 / velocity_limit[2]);
+  const double t93 = t91 > t92 ? t91 : t92;
+  const double t94 = 1.0 / (1.0 > t93 ? 1.0 : t93);
+  const double t95 = t86 * t94;
+  const double t96 = t27 * t95;
+  q_next[0] = clikgen_fma(period[0], t96, q[0]);
+  const double t97 = 1.0 - lam_free[0] / clikgen_fma(t26, filter_cutoff[1], 1.0);
+  const double t98 = t87 * t94;
+  const double t99 = t97 * t98;
+  q_next[1] = clikgen_fma(period[0], t99, q[1]);
+  const double t100 = 1.0 - lam_free[0] / clikgen_fma(t26, filter_cutoff[2], 1.0);
+  const double t101 = t90 * t94;
+  const double t102 = t100 * t101;
+  q_next[2] = clikgen_fma(period[0], t102, q[2]);
+  dq[0] = t96;
+  dq[1] = t99;
+  dq[2] = t102;
+  dq_law[0] = t95;
+  dq_law[1] = t98;
+  dq_law[2] = t101;
   tool_position[0] = t40;
   tool_position[1] = t44;
   tool_error[0] = t41;

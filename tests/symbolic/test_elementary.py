@@ -40,6 +40,10 @@ LOOPS = {
         "int n)",
         "r[i] = clikgen_fma(x[i], y[i], z[i]);",
     ),
+    "choice": (
+        "void choice_each(const REAL *restrict x, const REAL *restrict y, REAL *restrict r, int n)",
+        "r[i] = clikgen_choice(clikgen_mask(x[i] < y[i]), x[i], y[i]);",
+    ),
     "sincos": (
         "void sincos_each(const REAL *restrict x, REAL *restrict s, REAL *restrict c, int n)",
         "REAL sine, cosine; clikgen_sincos(x[i], &sine, &cosine); s[i] = sine; c[i] = cosine;",
@@ -81,7 +85,7 @@ class Functions:
     def dtype(self):
         return np.dtype({"double": np.float64, "float": np.float32}[self.real])
 
-    def _call(self, name, inputs, outputs):
+    def called(self, name, inputs, outputs):
         arrays = [np.ascontiguousarray(one, self.dtype) for one in np.broadcast_arrays(*inputs)]
         results = [np.empty_like(arrays[0]) for _ in range(outputs)]
         pointers = [self.ffi.from_buffer(f"{self.real}[]", one) for one in arrays + results]
@@ -89,19 +93,23 @@ class Functions:
         return results
 
     def fma(self, a, b, c):
-        return self._call("fma_each", [np.atleast_1d(a), np.atleast_1d(b), np.atleast_1d(c)], 1)[0]
+        return self.called("fma_each", [np.atleast_1d(a), np.atleast_1d(b), np.atleast_1d(c)], 1)[0]
+
+    def choice(self, x, y):
+        """The lesser of the two, y where they cannot be compared."""
+        return self.called("choice_each", [np.atleast_1d(x), np.atleast_1d(y)], 1)[0]
 
     def sincos(self, x):
-        return self._call("sincos_each", [np.atleast_1d(x)], 2)
+        return self.called("sincos_each", [np.atleast_1d(x)], 2)
 
     def atan2(self, y, x):
-        return self._call("atan2_each", [np.atleast_1d(y), np.atleast_1d(x)], 1)[0]
+        return self.called("atan2_each", [np.atleast_1d(y), np.atleast_1d(x)], 1)[0]
 
     def floor(self, x):
-        return self._call("floor_each", [np.atleast_1d(x)], 1)[0]
+        return self.called("floor_each", [np.atleast_1d(x)], 1)[0]
 
     def ceil(self, x):
-        return self._call("ceil_each", [np.atleast_1d(x)], 1)[0]
+        return self.called("ceil_each", [np.atleast_1d(x)], 1)[0]
 
 
 def compile_functions(real, folder, flags):
@@ -320,6 +328,15 @@ def test_floor_and_ceil_are_those_of_c99(real, build, compiled):
 
 @EACH_BUILD
 @REALS
+def test_a_choice_is_one_of_the_two_to_the_last_bit(real, build, compiled):
+    functions = compiled(real, build)
+    special = of_type([0.0, -0.0, 1.0, -1.5, 1e-30, np.inf, -np.inf, np.nan], functions.dtype)
+    x, y = (np.ascontiguousarray(one.ravel()) for one in np.meshgrid(special, special))
+    assert functions.choice(x, y).tobytes() == np.where(x < y, x, y).tobytes()
+
+
+@EACH_BUILD
+@REALS
 def test_nan_and_infinity_make_nan(real, build, compiled):
     functions = compiled(real, build)
     largest = np.finfo(functions.dtype).max
@@ -351,6 +368,33 @@ def test_a_product_and_a_sum_are_rounded_once_or_twice_and_every_build_knows(rea
         np.testing.assert_array_equal(found, a * b + c)
 
 
+ALTERNATING = """
+void alternating(const REAL *restrict x, const REAL *restrict y, const REAL *restrict z, REAL *restrict r, int n) {
+  for (int i = 0; i < n; i += 2) {
+    r[i] = clikgen_fma(x[i], y[i], z[i]);
+    r[i + 1] = clikgen_fma(x[i + 1], y[i + 1], -z[i + 1]);
+  }
+}
+"""
+
+
+@REALS
+def test_sums_and_differences_in_turn_are_rounded_twice_where_they_shall_be(real, tmp_path):
+    """gcc 12 has an instruction for a pair of them, which rounds once."""
+    head = ALTERNATING[: ALTERNATING.index(" {")].strip().replace("REAL", real)
+    code = f"#include <math.h>\n{text(real, ['fma'])}{head};\n{ALTERNATING}".replace("REAL", real)
+    (tmp_path / "alternating.c").write_text(code)
+    command = [*find_compiler().command, *FLAGS, "-O3", "-march=native", TWICE, "-o", str(tmp_path / "alternating.so")]
+    subprocess.run([*command, str(tmp_path / "alternating.c")], check=True, capture_output=True)
+    ffi = cffi.FFI()
+    ffi.cdef(f"{head};")
+    functions = Functions(real, ffi, ffi.dlopen(str(tmp_path / "alternating.so")))
+    rng = np.random.default_rng(4)
+    x, y, z = (of_type(rng.normal(0, 3, 1000), functions.dtype) for _ in range(3))
+    signs = np.tile(functions.dtype.type([1, -1]), 500)
+    np.testing.assert_array_equal(functions.called("alternating", [x, y, z], 1)[0], x * y + signs * z)
+
+
 def nearest(number, dtype):
     """The number of the type that is nearest to a fraction."""
     about = dtype.type(float(number))
@@ -369,8 +413,8 @@ def test_side_by_side_equals_one_by_one_bit_for_bit(real, build, compiled):
     )
     y = of_type(rng.normal(0, 3, x.size), one.dtype)
     for mine, theirs in zip(
-        [*one.sincos(x), one.atan2(y, x), one.floor(x), one.ceil(x)],
-        [*many.sincos(x), many.atan2(y, x), many.floor(x), many.ceil(x)],
+        [*one.sincos(x), one.atan2(y, x), one.floor(x), one.ceil(x), one.choice(y, x)],
+        [*many.sincos(x), many.atan2(y, x), many.floor(x), many.ceil(x), many.choice(y, x)],
         strict=True,
     ):
         np.testing.assert_array_equal(mine, theirs)
@@ -386,6 +430,7 @@ def test_text_holds_what_is_asked_for_and_what_that_needs():
 
     assert text("double", []) == ""
     assert functions(["fma"]) == {"fma"}
+    assert functions(["choice"]) == {"bits", "real", "mask", "choice"}
     assert functions(["sincos"]) == {"bits", "real", "fma", "sincos"}
     assert functions(["atan2"]) == {"bits", "real", "fma", "negative", "masked", "atan2"}
     assert functions(["ceil"]) == {"bits", "real", "negative", "masked", "floor", "ceil"}
@@ -393,7 +438,7 @@ def test_text_holds_what_is_asked_for_and_what_that_needs():
 
 
 def test_unknown_function_is_refused_with_those_there_are():
-    with pytest.raises(ValueError, match=r"wanted functions of fma, sincos, atan2, floor, ceil, got tangent"):
+    with pytest.raises(ValueError, match=r"wanted functions of fma, choice, sincos, atan2, floor, ceil, got tangent"):
         text("double", ["tangent", "sincos"])
 
 

@@ -22,6 +22,7 @@ A step with a barrier has a solver in it, of which B says nothing: there the tol
 """
 
 import functools
+import itertools
 import os
 import platform
 import re
@@ -47,6 +48,7 @@ from clikgen.runtime.manifest import load_manifest
 from clikgen.symbolic.controller import build
 from clikgen.symbolic.emitter import IN_FLOAT, LANES, LEAST_FLOAT, Names, function_text, module_text
 from clikgen.symbolic.generate import generate, shipped_folder
+from clikgen.symbolic.rotations import quaternion_of
 from clikgen.symbolic.spec import read_spec, shipped_specs
 from clikgen.symbolic.stage import Procedure
 
@@ -258,6 +260,12 @@ def _extreme(extreme):
     return run_it
 
 
+def _signed(run, x, y):
+    (a, of_a), (b, of_b) = x, y
+    run.doubtful |= (np.abs(b) <= 4 * of_b) & (a != 0)  # a zero has either sign
+    return run.number(np.copysign(a, b), of_a)
+
+
 def _relation(relation):
     def run_it(run, x, y):
         (a, of_a), (b, of_b) = x, y
@@ -286,6 +294,7 @@ ROUNDED: dict[int, Callable] = {
     ca.OP_COS: _turned(np.cos, np.sin),
     ca.OP_ATAN2: _angle,
     ca.OP_FABS: lambda run, x: run.number(np.abs(x[0]), x[1]),
+    ca.OP_COPYSIGN: _signed,
     ca.OP_FMAX: _extreme(np.fmax),
     ca.OP_FMIN: _extreme(np.fmin),
     ca.OP_FLOOR: _whole(np.floor),
@@ -646,6 +655,7 @@ OPERATIONS: dict[str, Callable] = {
     "cos": lambda x, *_: ca.cos(x),
     "atan2": lambda x, y, _: ca.atan2(x, y),
     "abs": lambda x, *_: ca.fabs(x),
+    "copysign": lambda x, y, _: ca.copysign(x, y),
     "max": lambda x, y, _: ca.fmax(x, y),
     "min": lambda x, y, _: ca.fmin(x, y),
     "floor": lambda x, *_: ca.floor(x),
@@ -700,6 +710,45 @@ def test_the_c_of_any_expressions_is_within_four_bounds_of_casadi(tmp_path_facto
             assert found.ratio <= 4, procedure.results
             used += np.sum(some) * (1 - found.doubtful)
     assert used > 100 * TOGETHER
+
+
+# ---- Many angles, and choices ----
+
+
+@pytest.mark.parametrize("real", ["double", "float"])
+def test_sines_are_those_of_their_angles_wherever_these_lie(real, tmp_path):
+    """All runs of 2 to 12 angles, alone, with others before or after them, and every other one of them."""
+    names, texts, procedures = Names(real), [], {}
+    for count, before, after, step in itertools.product(range(2, 13), (0, 1), (0, 1), (1, 2)):
+        x = ca.SX.sym("x", before + step * count + after)
+        angles = x[before : before + step * count : step]
+        name = f"f_{count}_{before}_{after}_{step}"
+        procedures[name] = Procedure(name, (x,), (ca.vertcat(ca.sin(angles), ca.cos(angles)),))
+        texts.append(function_text(procedures[name], ["x"], ["y"], names))
+    source = tmp_path / "sines.c"
+    source.write_text(module_text(texts, names), encoding="utf-8")
+    library, rng = Library(source, list(procedures), real), np.random.default_rng(5)
+    for name, procedure in procedures.items():
+        given = [rng.uniform(-10, 10, (50, procedure.given[0].numel())).astype(NUMBER[real])]
+        ours = library(name, given, [procedure.results[0].numel()])
+        assert compared(procedure.casadi(), given, ours, real).ratio <= 4
+
+
+JUMP = re.compile(r"^\s+(?:j(?!mp)[a-z]+|b\.[a-z]+|cbn?z|tbn?z)\s", re.MULTILINE)  # of x86 and 64-bit ARM
+
+
+@pytest.mark.skipif(platform.machine() not in ("x86_64", "AMD64", "aarch64", "arm64"), reason="other jumps")
+@pytest.mark.parametrize("level", ["-O2", "-O3"])
+@pytest.mark.parametrize("command", [one.command for one in available_compilers()], ids=lambda command: command[-1])
+def test_a_quaternion_is_chosen_without_a_jump(level, command, tmp_path):
+    R, names = ca.SX.sym("R", 3, 3), Names("double")
+    procedure = Procedure("quaternion", (ca.vec(R),), (quaternion_of(R),))
+    source, assembly = tmp_path / "quaternion.c", tmp_path / "quaternion.s"
+    source.write_text(module_text([function_text(procedure, ["R"], ["q"], names)], names), encoding="utf-8")
+    common = [flag for flag in FLAGS if flag != "-shared"]
+    outcome = run([*command, *common, level, "-S", "-o", assembly, source])
+    assert outcome.returncode == 0, outcome.stderr
+    assert JUMP.findall(assembly.read_text()) == []
 
 
 # ---- The text ----
@@ -950,9 +999,9 @@ class Operations:
         elif isinstance(node, c_ast.BinaryOp):
             self._count(node, True)
         elif isinstance(node, c_ast.FuncCall):
-            turned, fused = (node.name.name == f"clikgen_{name}" for name in ("sincos", "fma"))
+            turned, masked, fused = (node.name.name == f"clikgen_{name}" for name in ("sincos", "mask", "fma"))
             parts = node.args.exprs[:1] if turned else node.args.exprs
-            self._count(node, not turned)
+            self._count(node, not turned and not masked)  # a mask is a condition in other words
             if fused:  # a product besides; a sign is none
                 self._seen.add(f"product of {self._written.visit(node)}")
                 signs = [one for one in parts if isinstance(one, c_ast.UnaryOp) and one.op == "-"]
@@ -978,7 +1027,7 @@ class Operations:
 def test_the_manifest_counts_the_operations_that_stand_in_the_text(name, function, files):
     text = re.sub(r"^ *CLIKGEN_SIMD\n", "", body(name, function, files(name, "c")), flags=re.MULTILINE)
     counted = Operations()
-    counted.add(c_parser.CParser().parse(text).ext[0].body)
+    counted.add(c_parser.CParser().parse(text.replace("uint64_t", "unsigned long long")).ext[0].body)
     assert counted.total == info(name, function).operations
 
 
