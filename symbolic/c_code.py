@@ -10,7 +10,7 @@ import numpy as np
 
 from clikgen.runtime.manifest import FunctionInfo, SignalInfo
 from clikgen.symbolic.controller import Controller
-from clikgen.symbolic.emitter import LANES, Names, Real, function_text, lanes_text, module_text
+from clikgen.symbolic.emitter import COPIED, LANES, Names, Real, function_text, lanes_text, module_text, table
 from clikgen.symbolic.one_sided import OneSidedSpec
 from clikgen.symbolic.stage import STRAIGHT, Loop, Procedure
 from clikgen.symbolic.task import TaskSpec
@@ -209,7 +209,11 @@ def _pointers(kind: str, array: str, struct: str, signals: Sequence[SignalInfo],
 
 
 def _assignments(signal: SignalInfo, real: Real) -> str:
-    """One statement per entry that is not zero."""
+    """One statement per entry that is not zero; of many in a row, a table and a loop."""
+    if len(signal.shape) == 1 and len(signal.default) >= COPIED:
+        values = [f"{value!r}{'f' * (real == 'float')}" for value in signal.default]
+        loop = f"  for (int k = 0; k < {len(values)}; ++k) input->{signal.name}[k] = {signal.name}[k];"
+        return "\n".join((*table(real, signal.name, values), loop)) + "\n"
     entries = zip(np.ndindex(*signal.shape), signal.default, strict=True)
     return "".join(
         f"  input->{signal.name}{''.join(f'[{i}]' for i in index)} = {value!r}{'f' * (real == 'float')};\n"

@@ -13,6 +13,7 @@ from clikgen.symbolic.activation import Correction, Guard
 from clikgen.symbolic.barrier import Barrier
 from clikgen.symbolic.obstacles import Obstacles, Sensing
 from clikgen.symbolic.planner import Motion
+from clikgen.symbolic.points import places, position_jacobians
 from clikgen.symbolic.signals import Signal, result, symbol
 from clikgen.symbolic.spec import ControllerSpec
 from clikgen.symbolic.stack import stack_notes
@@ -76,12 +77,13 @@ def build(spec: ControllerSpec) -> Controller:
     command = _velocity(spec, tree, tasks)
     inputs, outputs = _step(spec, tree, q, sensing, tasks, command)
     stages = [*(sensing.stages if sensing else ()), *command.stages]
-    jacobians = _jacobians(tree, tasks)
+    where, how = list[Stage](), list(stages)
+    positions, jacobians = _positions(tree, tasks, where), _jacobians(tree, tasks, how)
     return Controller(
         spec,
         (
-            _function(spec, "kinematics", "where everything is at q", inputs, _positions(tree, tasks)),
-            _function(spec, "jacobians", "how everything moves with q̇ at q", inputs, jacobians, stages),
+            _function(spec, "kinematics", "where everything is at q", inputs, positions, where),
+            _function(spec, "jacobians", "how everything moves with q̇ at q", inputs, jacobians, how),
             _function(spec, "step", "one period of the loop (eqs. 4-19)", inputs, outputs, stages),
         ),
         tuple(tasks),
@@ -214,26 +216,28 @@ def _drive(tree: KinematicTree, dq: ca.SX) -> list[Signal]:
     return [result("base_velocity", ca.vertcat(forward, dq[yaw]), (2,), "m/s, rad/s", text, "command")]
 
 
-def _positions(tree: KinematicTree, tasks: Sequence[Level]) -> list[Signal]:
-    """Task values, points of interest, and the pose of every link as the rows [R | p] of world_T_link."""
+def _positions(tree: KinematicTree, tasks: Sequence[Level], stages: list[Stage]) -> list[Signal]:
+    """Task values, points of interest, and the pose of every link as the rows [R | p] of world_T_link.
+
+    The loops for the points are added to the stages.
+    """
     outputs = [signal for task in tasks for signal in task.values]
     points = tree.robot.points_of_interest
     if points:
-        places = ca.vertcat(*(tree.position(point.link, point.offset).T for point in points))
         shape = (len(points), tree.robot.dimension)
-        outputs.append(result("point_position", places, shape, "m", "r of every point of interest"))
+        outputs.append(result("point_position", places(tree, stages).T, shape, "m", "r of every point of interest"))
     poses = [tree.poses[joint.link] for joint in tree.robot.joints]
     rows = ca.vertcat(*(ca.horzcat(pose.rotation, pose.position) for pose in poses))
     pose_shape = (len(poses), 3, 4)
     return [*outputs, result("link_pose", rows, pose_shape, "1, m", "rows [R | p] of world_T_link, per link")]
 
 
-def _jacobians(tree: KinematicTree, tasks: Sequence[Level]) -> list[Signal]:
-    """∂(task)/∂q for every task, ∂r/∂q for every point of interest."""
+def _jacobians(tree: KinematicTree, tasks: Sequence[Level], stages: list[Stage]) -> list[Signal]:
+    """∂(task)/∂q for every task, ∂r/∂q for every point of interest, whose loops are added to the stages."""
     outputs = [signal for task in tasks for signal in task.jacobians]
     points = tree.robot.points_of_interest
     if points:
-        rows = ca.vertcat(*(tree.position_jacobian(point.link, point.offset) for point in points))
+        rows = position_jacobians(tree, stages)
         shape = (len(points), tree.robot.dimension, tree.q.numel())
         text = "J_r = ∂r/∂q of every point of interest"
         outputs.append(result("point_jacobian", rows, shape, "m per joint unit", text))

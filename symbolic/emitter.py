@@ -2,6 +2,7 @@
 
 import math
 import re
+import textwrap
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -9,6 +10,7 @@ from dataclasses import dataclass, field, replace
 from typing import Literal
 
 from clikgen.symbolic import elementary
+from clikgen.symbolic.copies import Grid, grids, moved
 from clikgen.symbolic.graph import CONDITIONS, FUSED, Graph, Node
 from clikgen.symbolic.least_squares import ROUNDING
 from clikgen.symbolic.order import ordered
@@ -27,6 +29,7 @@ PREAMBLE = """\
 #define CLIKGEN_SIMD
 #endif
 """
+COPIED = 16  # numbers from which loops copy them
 WIDEST = 56  # characters of an expression; a longer one is given a name
 IN_FLOAT = {ROUNDING: 2.0**-17, -ROUNDING: -(2.0**-17)}
 """Constants that stand for rounding in double, and what stands for it in single precision: 64 times 2^-23."""
@@ -185,13 +188,40 @@ class Block:
             by_row = [
                 self.constant(self.graph.nodes[nodes[i * rows + r]].value) for r in range(rows) for i in range(columns)
             ]
-            self.line(f"static const {self.names.real} {array.name}[{len(nodes)}] = {{{', '.join(by_row)}}};")
+            self.lines += table(self.names.real, array.name, by_row, self.indent)
             return array
-        values = [self.value(i) for i in nodes]
-        self.line(f"{self.names.real} {array.name}[{len(nodes)}];")
-        for entry, value in enumerate(values):
-            self.line(f"{array.at(entry)} = {value};")
+        self._write(array, nodes, f"{self.names.real} {array.name}[{len(nodes)}];")
         return array
+
+    def result(self, name: str, nodes: Sequence[int]) -> None:
+        """Write the nodes into the array of a result."""
+        self._write(Array(name, len(nodes), 1, 0), nodes)
+
+    def _write(self, array: Array, nodes: Sequence[int], *before: str) -> None:
+        """Write the nodes into a matrix, after what they need and the lines `before`; many at once in loops."""
+        copies = self._copies(array, nodes)
+        copied = {at for _, grid in copies for at in grid.filled}
+        values = {entry: self.value(i) for entry, i in enumerate(nodes) if array.index(entry) not in copied}
+        for line in (*before, *(f"{array.at(entry)} = {value};" for entry, value in values.items())):
+            self.line(line)
+        for source, grid in copies:
+            counters = [self.names.new("k") for _ in grid.levels]
+            for depth, (k, level) in enumerate(zip(counters, grid.levels, strict=True)):
+                self.line(f"{'  ' * depth}for (int {k} = 0; {k} < {level.times}; ++{k})")
+            to = moved(grid.to, zip(counters, (level.to for level in grid.levels), strict=True))
+            there = moved(grid.source, zip(counters, (level.source for level in grid.levels), strict=True))
+            self.lines[-1] += f" {array.name}[{to}] = {source}[{there}];"
+
+    def _copies(self, array: Array, nodes: Sequence[int]) -> list[tuple[str, Grid]]:
+        """Of the nodes those that lie evenly in other arrays, many in each: the arrays' names and where."""
+        places: dict[str, list[tuple[int, int]]] = {}
+        for entry, i in enumerate(nodes):
+            node = self.graph.nodes[i]
+            source = self.given[node.array] if node.operation == "given" else None
+            if isinstance(source, Array) and not source.column and not source.lanes:
+                places.setdefault(source.name, []).append((array.index(entry), source.index(node.entry)))
+        every = [(name, grid) for name, pairs in places.items() for grid in grids(sorted(pairs))]
+        return [(name, grid) for name, grid in every if len(grid.filled) >= COPIED]
 
     def _in_place(self, nodes: Sequence[int], rows: int) -> Array | None:
         """Where the matrix lies already with even strides; None where it does not."""
@@ -452,14 +482,26 @@ def _column(matrix: Array, counter: str) -> Array:
     return Array(matrix.name, matrix.rows, matrix.row_stride, 0, matrix.offset, column, matrix.lanes)
 
 
+def table(real: Real, name: str, values: Sequence[str], indent: str = "  ") -> list[str]:
+    """The lines of an array of constants."""
+    text = f"static const {real} {name}[{len(values)}] = {{{', '.join(values)}}};"
+    return textwrap.wrap(
+        text,
+        120,
+        initial_indent=indent,
+        subsequent_indent=indent + "  ",
+        break_long_words=False,
+        break_on_hyphens=False,
+    )
+
+
 def function_text(procedure: Procedure, inputs: Sequence[str], outputs: Sequence[str], names: Names) -> str:
     """A function of one robot in CasADi's calling convention, its arguments by their names."""
     real = names.real
     given = [Array(name, column.numel(), 1, 0) for name, column in zip(inputs, procedure.given, strict=True)]
     block = Block(procedure, list(given), names, [])
     for name, nodes in zip(outputs, block.run(), strict=True):
-        for entry, node in enumerate(nodes):
-            block.line(f"{name}[{entry}] = {block.value(node)};")
+        block.result(name, nodes)
     lines = [
         f"int {procedure.name}(const {real} **arg, {real} **res, long long int *iw, {real} *w, int mem) {{",
         *_bound(inputs, outputs, block),

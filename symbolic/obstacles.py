@@ -11,6 +11,7 @@ from clikgen.runtime.documents import Document
 from clikgen.runtime.manifest import FAR
 from clikgen.symbolic.contact import Contact
 from clikgen.symbolic.distances import apart, direction, is_nearer, nearest_on_segment
+from clikgen.symbolic.points import by_link, places
 from clikgen.symbolic.robot import PointOfInterest
 from clikgen.symbolic.signals import Signal, symbol
 from clikgen.symbolic.stage import Body, Loop, Stage
@@ -413,36 +414,10 @@ def _jacobian(tree: KinematicTree, point: PointOfInterest) -> ca.SX:
     return tree.position_jacobian(point.link, point.offset)
 
 
-def _places(tree: KinematicTree, stages: list[Stage]) -> ca.SX:
-    """Where every point of interest is, (dimension, points) [m], link by link."""
-    points, d = tree.robot.points_of_interest, tree.robot.dimension
-    places = list[ca.SX]([ca.SX()] * len(points))
-
-    def body(_: Symbols, columns: Symbols, shared: Symbols, __: list[Stage]) -> tuple[list[ca.SX], list[ca.SX]]:
-        return [], [shared[1] + shared[0] @ columns[0]]
-
-    for link, here in _by_link(tree).items():
-        pose = tree.poses[link]
-        axes = [k for k in range(3) if any(not pose.rotation[i, k].is_zero() for i in range(d))]
-        offsets = ca.SX(ca.DM([[points[i].offset[k] for i in here] for k in axes]))
-        _, (found,) = _looped("place", body, [], [offsets], [pose.rotation[:d, axes], pose.position[:d]], stages)
-        for k, i in enumerate(here):
-            places[i] = found[:, k]
-    return ca.horzcat(*places)
-
-
-def _by_link(tree: KinematicTree) -> dict[str, list[int]]:
-    """The numbers of the points of interest on each link that has some."""
-    links: dict[str, list[int]] = {}
-    for i, point in enumerate(tree.robot.points_of_interest):
-        links.setdefault(point.link, []).append(i)
-    return links
-
-
 def _closest_contacts(tree: KinematicTree, obstacles: Obstacles, radius: ca.SX) -> ClosestContacts:
     """Each point against the obstacles, in loops over points and obstacles; radius (points, 1) [m]."""
     points, stages = tree.robot.points_of_interest, list[Stage]()
-    places, arrays = _places(tree, stages), obstacles.shapes(stages).arrays
+    where, arrays = places(tree, stages), obstacles.shapes(stages).arrays
 
     def sensed(_: Symbols, columns: Symbols, shared: Symbols, inner: list[Stage]) -> tuple[list[ca.SX], list[ca.SX]]:
         place, s = columns
@@ -452,14 +427,14 @@ def _closest_contacts(tree: KinematicTree, obstacles: Obstacles, radius: ca.SX) 
         return [], [distance, toward / length, x**2, force, moment]
 
     _, (distance, u, x_squared, force, moment) = _looped(
-        "sense", sensed, [], [places, radius.T], [array for array in arrays if array.numel()], stages
+        "sense", sensed, [], [where, radius.T], [array for array in arrays if array.numel()], stages
     )
 
     def added(mine: Sequence[ca.SX], columns: Sequence[ca.SX]) -> list[ca.SX]:
         return [total + one for total, one in zip(mine, columns, strict=True)]
 
     wrenches = []
-    for link, here in _by_link(tree).items():
+    for link, here in by_link(tree).items():
         forces, moments = force[:, here], moment[:, here]
         nothing = [ca.SX.zeros(forces.shape[0]), ca.SX.zeros(moments.shape[0])]
         wrenches.append(Wrench(link, *_reduced("add", added, added, nothing, [forces, moments], stages)))

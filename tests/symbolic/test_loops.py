@@ -22,8 +22,11 @@ from clikgen.symbolic.controller import build
 from clikgen.symbolic.emitter import Names, function_text, module_text
 from clikgen.symbolic.generate import generate
 from clikgen.symbolic.obstacles import WATCHED, ObstacleCapacity, Obstacles
-from clikgen.symbolic.spec import ControllerSpec
-from clikgen.symbolic.stage import Loop, Procedure
+from clikgen.symbolic.points import places, position_jacobians
+from clikgen.symbolic.robot import PointOfInterest
+from clikgen.symbolic.spec import ControllerSpec, read_spec, shipped_specs
+from clikgen.symbolic.stage import Loop, Procedure, Stage
+from clikgen.symbolic.tree import KinematicTree
 
 STATES = 100
 FLAGS = {"as it ships": (), "with wide vectors": ("-O3", "-march=native"), "one by one": ("-O1", "-UCLIKGEN_OPENMP")}
@@ -534,7 +537,7 @@ def test_distances_to_many_obstacles_are_those_in_numpy(crowd):
 def test_a_step_past_many_obstacles_is_casadi_s(crowd):
     """CasADi unrolls, or maps, what is a loop in C."""
     spec, controller, values = crowd
-    for one in build(spec).functions[1:]:
+    for one in build(spec).functions:
         compiled = getattr(controller, one.name)
         inputs = {name: values[name] for name in compiled.inputs if name in values}
         found = compiled.map(STATES, inputs)
@@ -555,9 +558,36 @@ def test_many_obstacles_are_little_text(planar5_spec):
 
 
 def test_many_points_are_little_text(planar5_spec):
-    """A number of points more on a link are a few numbers in its table, and a Jacobian of each in the result."""
-    sizes = {count: len(generate(crowded(planar5_spec, count, maximum=100))["planar5.c"]) for count in (6, 24)}
-    assert sizes[24] < 2 * sizes[6]
+    """A point more on a link is a few numbers in its tables; their sum is written out up to a number of them."""
+    sizes = {count: len(generate(crowded(planar5_spec, count, maximum=100))["planar5.c"]) for count in (6, 24, 384)}
+    assert sizes[24] < 1.5 * sizes[6]
+    assert sizes[384] < 5 * sizes[6]
+
+
+@pytest.mark.parametrize("name", [path.stem for path in shipped_specs()])
+def test_points_in_loops_are_where_each_is_by_itself_and_move_so(name, tmp_path):
+    """Points on all links, the root among them, in no order: against expressions of each point alone."""
+    robot, rng = read_spec({path.stem: path for path in shipped_specs()}[name]).robot, np.random.default_rng(8)
+    flat = [1.0, 1.0, robot.space == "spatial"]
+    points = [
+        PointOfInterest(name=f"p{k}", link=link, offset=tuple(rng.uniform(-1, 1, 3) * flat), influence_radius=0.1)
+        for k, link in enumerate(rng.permutation(list(robot.links) * 5).tolist())
+    ]
+    tree, stages = KinematicTree.of(robot.model_copy(update={"points_of_interest": tuple(points)})), list[Stage]()
+    results = [ca.vec(places(tree, stages)), ca.vec(position_jacobians(tree, stages).T)]
+    library = Library(tmp_path, [Procedure.of("points", [tree.q], results, stages)])
+    expected = ca.Function(
+        "alone",
+        [tree.q],
+        [
+            ca.densify(ca.vertcat(*(tree.position(one.link, one.offset) for one in points))),
+            ca.densify(ca.vec(ca.vertcat(*(tree.position_jacobian(one.link, one.offset) for one in points)).T)),
+        ],
+    )
+    q = rng.uniform(-3, 3, (STATES, tree.q.numel()))
+    for found, one in zip(library("points", [q]), expected.map(STATES).call([ca.DM(q.T)]), strict=True):
+        np.testing.assert_allclose(found, np.array(one).T, rtol=0, atol=20 * ROUNDING)  # mobile bases go 3 m away
+    assert library.text.count("for (") < 12 * len(robot.links)
 
 
 # ---- The nearest ones, of which a barrier keeps off ----
