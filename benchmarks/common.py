@@ -14,11 +14,14 @@ def machine() -> str:
 
 
 def processor() -> str:
-    """The processor's name, where the system tells it."""
+    """The processor's name, family and model, where the system tells them: a virtual machine's name says little."""
     info = Path("/proc/cpuinfo")
     lines = info.read_text().splitlines() if info.exists() else []
-    name = next((line.split(":")[1].strip() for line in lines if line.startswith("model name")), platform.machine())
-    return f"{name}, {sum(line.startswith('processor') for line in lines) or '?'} cores"
+    first = {key.strip(): value.strip() for key, _, value in (line.partition(":") for line in reversed(lines))}
+    known = {"cpu family", "model"} <= first.keys()
+    kind = f" (family {first['cpu family']}, model {first['model']})" if known else ""
+    cores = sum(line.startswith("processor") for line in lines) or "?"
+    return f"{first.get('model name', platform.machine())}{kind}, {cores} cores"
 
 
 def compiler() -> str:
