@@ -20,7 +20,7 @@ def by_link(tree: KinematicTree) -> dict[str, list[int]]:
 
 
 def places(tree: KinematicTree, stages: list[Stage]) -> ca.SX:
-    """Where every point of interest is, (dimension, points) [m], in loops that are added to the stages."""
+    """f(q), eq. 1, of every point of interest, (dimension, points) [m], in loops that are added to the stages."""
     points, d = tree.robot.points_of_interest, tree.robot.dimension
     found = list[ca.SX]([ca.SX()] * len(points))
 
@@ -39,7 +39,7 @@ def places(tree: KinematicTree, stages: list[Stage]) -> ca.SX:
 
 
 def position_jacobians(tree: KinematicTree, stages: list[Stage]) -> ca.SX:
-    """∂r/∂q, eq. 2, of every point of interest, (points · dimension, n), in loops that are added to the stages."""
+    """J(q), eq. 2, of every point of interest, (points · dimension, n), in loops that are added to the stages."""
     where, n, d = places(tree, stages), tree.q.numel(), tree.robot.dimension
     found = list[ca.SX]([ca.SX()] * where.shape[1])
     for link, here in by_link(tree).items():
