@@ -78,7 +78,7 @@ def build(spec: ControllerSpec) -> Controller:
     inputs, outputs = _step(spec, tree, q, sensing, tasks, command)
     stages = [*(sensing.stages if sensing else ()), *command.stages]
     where, how = list[Stage](), list(stages)
-    positions, jacobians = _positions(tree, tasks, where), _jacobians(tree, tasks, how)
+    positions, jacobians = _positions(tree, tasks, where), _jacobians(tree, sensing, tasks, how)
     return Controller(
         spec,
         (
@@ -232,12 +232,15 @@ def _positions(tree: KinematicTree, tasks: Sequence[Level], stages: list[Stage])
     return [*outputs, result("link_pose", rows, pose_shape, "1, m", "rows [R | p] of world_T_link, per link")]
 
 
-def _jacobians(tree: KinematicTree, tasks: Sequence[Level], stages: list[Stage]) -> list[Signal]:
+def _jacobians(
+    tree: KinematicTree, sensing: Sensing | None, tasks: Sequence[Level], stages: list[Stage]
+) -> list[Signal]:
     """∂(task)/∂q for every task, ∂r/∂q for every point of interest, whose loops are added to the stages."""
     outputs = [signal for task in tasks for signal in task.jacobians]
     points = tree.robot.points_of_interest
     if points:
-        rows = position_jacobians(tree, stages)
+        where = sensing.closest.places if sensing else places(tree, stages)
+        rows = position_jacobians(tree, where, stages)
         shape = (len(points), tree.robot.dimension, tree.q.numel())
         text = "J_r = ∂r/∂q of every point of interest"
         outputs.append(result("point_jacobian", rows, shape, "m per joint unit", text))

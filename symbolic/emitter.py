@@ -29,7 +29,7 @@ PREAMBLE = """\
 #define CLIKGEN_SIMD
 #endif
 """
-COPIED = 16  # numbers from which loops copy them
+COPIED = 16  # as many numbers, or more, are copied by loops
 WIDEST = 56  # characters of an expression; a longer one is given a name
 IN_FLOAT = {ROUNDING: 2.0**-17, -ROUNDING: -(2.0**-17)}
 """Constants that stand for rounding in double, and what stands for it in single precision: 64 times 2^-23."""
@@ -434,8 +434,8 @@ class Block:
     def _runs(self, angle: Array, angles: Sequence[int]) -> tuple[_Run, ...]:
         """In which runs angles are turned into sines and cosines: all at once, unless that takes vectors more.
 
-        Three angles more than whole vectors of four would be a pair and a single one: better four, those before or
-        beside them among them.
+        Three angles more than whole vectors of four would be a pair and a single one. They are turned as four: with the
+        angle before them or, where there is none, with what lies beside them in their array.
         """
         count = len(angles)
         if count % 4 != 3:

@@ -14,7 +14,7 @@ from clikgen.symbolic.distances import apart, direction, is_nearer, nearest_on_s
 from clikgen.symbolic.points import by_link, places
 from clikgen.symbolic.robot import PointOfInterest
 from clikgen.symbolic.signals import Signal, symbol
-from clikgen.symbolic.stage import Body, Loop, Stage
+from clikgen.symbolic.stage import Stage, Symbols, looped
 from clikgen.symbolic.tree import KinematicTree, Wrench
 
 WAYS, MANY = 4, 24  # strands of a loop over so many points or more
@@ -26,7 +26,6 @@ ABSENT = {
 }
 """What stands for an obstacle that is not there, whatever its place holds: it is never the nearest one."""
 
-Symbols = Sequence[ca.SX]
 Capacity = Annotated[int, Field(strict=True, ge=0, le=100)]
 
 
@@ -139,21 +138,7 @@ def _where_there(
         return [], [chosen(number, shared[0], row, instead) for row, instead in zip(rows, absent, strict=True)]
 
     over = [numbers.T, *(value.T for value in values)]
-    return [found.T for found in _looped("there", body, [], over, [count], stages)[1]]
-
-
-def _looped(
-    name: str,
-    body: Body,
-    carried: Sequence[ca.SX],
-    over: Sequence[ca.SX],
-    shared: Sequence[ca.SX],
-    stages: list[Stage],
-) -> tuple[tuple[ca.SX, ...], tuple[ca.SX, ...]]:
-    """What a loop added to the stages carries in the end, and its results side by side."""
-    loop = Loop.of(name, body, carried, over, shared)
-    stages.append(loop)
-    return loop.symbols[: len(carried)], loop.symbols[len(carried) :]
+    return [found.T for found in looped("there", body, [], over, [count], stages)[1]]
 
 
 Merge = Callable[[Sequence[ca.SX], Sequence[ca.SX]], Sequence[ca.SX]]
@@ -173,7 +158,7 @@ def _reduced(
         return [one for k in range(ways) for one in step(mine[k * count : (k + 1) * count], columns[k::ways])], []
 
     strands = [one[:, k:together:ways] for one in over for k in range(ways)]
-    found, _ = _looped(name, body, [*start] * ways, strands, [], stages)
+    found, _ = looped(name, body, [*start] * ways, strands, [], stages)
     total: Sequence[ca.SX] = found[:count]
     for k in range(1, ways):
         total = merge(total, found[k * count : (k + 1) * count])
@@ -255,7 +240,7 @@ class Shapes:
 
         if self.radius.numel():
             over = [self.center.T, self.radius.T, self.velocity.T]
-            (best,), _ = _looped("nearest", body, [best], over, [point], stages)
+            (best,), _ = looped("nearest", body, [best], over, [point], stages)
         rest = Shapes.from_arrays([array[:, : 0 if k < 3 else None] for k, array in enumerate(self.arrays)])
         for contact in rest.each(point):
             best = _inserted(ca.vertcat(*contact), best)
@@ -325,7 +310,7 @@ def _closest_of(
         found = _Ball(*mine).or_nearer(ball(shared[0], *columns))
         return [found.toward, found.squared, found.radius], []
 
-    carried, _ = _looped("closest", body, [best.toward, best.squared, best.radius], columns, [point], stages)
+    carried, _ = looped("closest", body, [best.toward, best.squared, best.radius], columns, [point], stages)
     return _Ball(*carried)
 
 
@@ -333,6 +318,7 @@ def _closest_of(
 class ClosestContacts:
     """Of every point of interest its contact with its closest obstacle, and what they come to together."""
 
+    places: ca.SX  # (dimension, points) [m]
     contacts: tuple[Contact, ...]
     potential: ca.SX  # Σ ½ x² [m²]
     wrenches: tuple[Wrench, ...]  # of the forces x u at the points
@@ -426,7 +412,7 @@ def _closest_contacts(tree: KinematicTree, obstacles: Obstacles, radius: ca.SX) 
         force, moment = x / length * wrench.force, x / length * wrench.moment
         return [], [distance, toward / length, x**2, force, moment]
 
-    _, (distance, u, x_squared, force, moment) = _looped(
+    _, (distance, u, x_squared, force, moment) = looped(
         "sense", sensed, [], [where, radius.T], [array for array in arrays if array.numel()], stages
     )
 
@@ -451,7 +437,7 @@ def _closest_contacts(tree: KinematicTree, obstacles: Obstacles, radius: ca.SX) 
     contacts = tuple(
         Contact(distance[i], radius[i], u[:, i].T @ _jacobian(tree, point)) for i, point in enumerate(points)
     )
-    return ClosestContacts(contacts, potential / 2, tuple(wrenches), lowest, tuple(stages))
+    return ClosestContacts(where, contacts, potential / 2, tuple(wrenches), lowest, tuple(stages))
 
 
 def _restored(given: Sequence[ca.SX], arrays: Sequence[ca.SX]) -> list[ca.SX]:
@@ -475,7 +461,7 @@ def _watched(tree: KinematicTree, obstacles: Obstacles) -> tuple[Stage, ...]:
         distance, towards, opening = there.nearest(columns[0], WATCHED, inner)
         return [], [distance.T, ca.vec(towards), opening.T]
 
-    _looped("watched", body, [], [places], shapes, stages)
+    looped("watched", body, [], [places], shapes, stages)
     return tuple(stages)
 
 

@@ -1,14 +1,11 @@
 """Where the points of interest are and how they move, in one loop a link: many points take no more code than few."""
 
-from collections.abc import Sequence
 from dataclasses import replace
 
 import casadi as ca
 
-from clikgen.symbolic.stage import Loop, Stage
+from clikgen.symbolic.stage import Stage, Symbols, looped
 from clikgen.symbolic.tree import KinematicTree
-
-Symbols = Sequence[ca.SX]
 
 
 def by_link(tree: KinematicTree) -> dict[str, list[int]]:
@@ -31,29 +28,31 @@ def places(tree: KinematicTree, stages: list[Stage]) -> ca.SX:
         pose = tree.poses[link]
         axes = [k for k in range(3) if any(not pose.rotation[i, k].is_zero() for i in range(d))]
         offsets = ca.SX(ca.DM([[points[i].offset[k] for i in here] for k in axes]))
-        loop = Loop.of("place", body, [], [offsets], [pose.rotation[:d, axes], pose.position[:d]])
-        stages.append(loop)
+        _, (columns,) = looped("place", body, [], [offsets], [pose.rotation[:d, axes], pose.position[:d]], stages)
         for k, i in enumerate(here):
-            found[i] = loop.symbols[0][:, k]
+            found[i] = columns[:, k]
     return ca.horzcat(*found)
 
 
-def position_jacobians(tree: KinematicTree, stages: list[Stage]) -> ca.SX:
-    """J(q), eq. 2, of every point of interest, (points · dimension, n), in loops that are added to the stages."""
-    where, n, d = places(tree, stages), tree.q.numel(), tree.robot.dimension
+def position_jacobians(tree: KinematicTree, where: ca.SX, stages: list[Stage]) -> ca.SX:
+    """J(q), eq. 2, of every point of interest, (points · dimension, n) [m per joint unit], row by row of the points.
+
+    `where` they are, (dimension, points) [m], is known; the loops are added to the stages.
+    """
+    n, d = tree.q.numel(), tree.robot.dimension
     found = list[ca.SX]([ca.SX()] * where.shape[1])
     for link, here in by_link(tree).items():
-        loop = _moving(tree, link, where[:, here])
-        stages.append(loop)
+        columns = _moving(tree, link, where[:, here], stages)
         for k, i in enumerate(here):
-            found[i] = ca.reshape(loop.symbols[0][:, k], n, d).T
+            found[i] = ca.reshape(columns[:, k], n, d).T
     return ca.vertcat(*found)
 
 
-def _moving(tree: KinematicTree, link: str, where: ca.SX) -> Loop:
-    """The loop that makes columns ∂r/∂q, row by row, of points r of the link, the columns of `where`.
+def _moving(tree: KinematicTree, link: str, where: ca.SX, stages: list[Stage]) -> ca.SX:
+    """∂r/∂q [m per joint unit], row by row, (dimension · n, points), of points r of the link.
 
-    Of the axes that carry the link it is given what is no constant.
+    They are the columns of `where` (dimension, points) [m]. The loop is given what is no constant of the axes that
+    carry the link.
     """
     carriers = tree.carriers[link]
     entries = ca.densify(ca.veccat(*(part for axis in carriers for part in (axis.direction, axis.origin))))
@@ -66,4 +65,5 @@ def _moving(tree: KinematicTree, link: str, where: ca.SX) -> Loop:
         axes = [replace(axis, direction=next(parts), origin=next(parts)) for axis in carriers]
         return [], [ca.vec(tree.jacobian_at(columns[0], axes).T)]
 
-    return Loop.of("move", body, [], [where], [entries[varying]])
+    _, (columns,) = looped("move", body, [], [where], [entries[varying]], stages)
+    return columns

@@ -119,9 +119,8 @@ class Procedure:
         return ca.Function(self.name, inputs, last.call(values_in), *names)
 
 
-Body = Callable[
-    [Sequence[ca.SX], Sequence[ca.SX], Sequence[ca.SX], list[Stage]], tuple[Sequence[ca.SX], Sequence[ca.SX]]
-]
+Symbols = Sequence[ca.SX]
+Body = Callable[[Symbols, Symbols, Symbols, list[Stage]], tuple[Sequence[ca.SX], Sequence[ca.SX]]]
 """What an iteration makes of what is carried, its columns and what is shared: what is carried on, and its results.
 
 Stages of its own it adds to the list.
@@ -219,6 +218,20 @@ class Loop(Stage):
             carried = outputs[: self.carried]
             results.append(outputs[self.carried :])
         return [*carried, *(ca.horzcat(*one) for one in zip(*results, strict=True))]
+
+
+def looped(
+    name: str,
+    body: Body,
+    carried: Sequence[ca.SX],
+    over: Sequence[ca.SX],
+    shared: Sequence[ca.SX],
+    stages: list[Stage],
+) -> tuple[tuple[ca.SX, ...], tuple[ca.SX, ...]]:
+    """What a loop added to the stages carries in the end, and its results side by side."""
+    loop = Loop.of(name, body, carried, over, shared)
+    stages.append(loop)
+    return loop.symbols[: len(carried)], loop.symbols[len(carried) :]
 
 
 def _with(expressions: Sequence[ca.SX], symbols: Sequence[ca.SX], values: Sequence[ca.SX]) -> Sequence[ca.SX]:

@@ -574,7 +574,8 @@ def test_points_in_loops_are_where_each_is_by_itself_and_move_so(name, tmp_path)
         for k, link in enumerate(rng.permutation(list(robot.links) * 5).tolist())
     ]
     tree, stages = KinematicTree.of(robot.model_copy(update={"points_of_interest": tuple(points)})), list[Stage]()
-    results = [ca.vec(places(tree, stages)), ca.vec(position_jacobians(tree, stages).T)]
+    where = places(tree, stages)
+    results = [ca.vec(where), ca.vec(position_jacobians(tree, where, stages).T)]
     library = Library(tmp_path, [Procedure.of("points", [tree.q], results, stages)])
     expected = ca.Function(
         "alone",
