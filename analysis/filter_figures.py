@@ -119,18 +119,12 @@ def _cutoffs(beta: float, period: float) -> Plate:
     figure = Figure(figsize=(8.5, 4.4), layout="constrained")
     axes = figure.subplots()
     for method, values in ratio.items():
-        axes.plot(shares, values, color=COLOURS[method], label=NAMES[method], lw=2.2 if "Euler" in method else 1.3)
         last = np.flatnonzero(np.isfinite(values))[-1]
-        if last < shares.size - 1:
+        ends = last < shares.size - 1
+        label = f"{NAMES[method]}, ends at f_cT = {shares[last]:.3g}" if ends else NAMES[method]
+        axes.plot(shares, values, color=COLOURS[method], label=label, lw=2.2 if "Euler" in method else 1.3)
+        if ends:
             axes.plot(shares[last], values[last], "o", color=COLOURS[method])
-            axes.annotate(
-                f"ends at f_cT = {shares[last]:.3g}",
-                (shares[last], values[last]),
-                (4, -16),
-                textcoords="offset points",
-                ha="center",
-                color=COLOURS[method],
-            )
     share = cutoff_of(beta, period) * period
     axes.axvline(share, color=ERROR, ls="--", lw=1.0, label=f"this controller, f_cT = {share:.3g}")
     axes.axhline(1.0, color=QUIET, lw=0.8)
